@@ -1,0 +1,2 @@
+//! Helpers of the tests that run the product against the simulated table, emulated devices,
+//! injected faults and hidden effects.

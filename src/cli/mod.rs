@@ -1,0 +1,67 @@
+//! The command line, one file a subcommand.
+//!
+//! Exit codes: 0 done, 1 failed, 2 bad usage or configuration, 3 aborted by safety.
+
+use clap::Parser;
+use std::process::ExitCode;
+
+/// Controller of a shaking table, and the bench on which a model is compared with measurements.
+#[derive(Parser)]
+#[command(name = "shaketable", version, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// What can be asked for; a variant a file.
+#[derive(clap::Subcommand)]
+enum Command {}
+
+/// How a subcommand ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// All done.
+    Done,
+    /// Ended by the safety supervisor.
+    Aborted,
+}
+
+/// Why a subcommand could not do what was asked.
+#[derive(Debug)]
+pub enum CliError {
+    /// Bad usage or configuration: exit code 2.
+    Usage(miette::Report),
+    /// Anything else: exit code 1.
+    Failed(miette::Report),
+}
+
+impl CliError {
+    /// A usage error from a message.
+    pub fn usage(message: impl std::fmt::Display) -> Self {
+        Self::Usage(miette::miette!("{message}"))
+    }
+
+    /// A failure from a message.
+    pub fn failed(message: impl std::fmt::Display) -> Self {
+        Self::Failed(miette::miette!("{message}"))
+    }
+}
+
+/// Runs the command line of this process.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let result: Result<Outcome, CliError> = match cli.command {};
+    #[allow(unreachable_code)]
+    match result {
+        Ok(Outcome::Done) => ExitCode::SUCCESS,
+        Ok(Outcome::Aborted) => ExitCode::from(3),
+        Err(CliError::Failed(report)) => {
+            eprintln!("{report:?}");
+            ExitCode::from(1)
+        }
+        Err(CliError::Usage(report)) => {
+            eprintln!("{report:?}");
+            ExitCode::from(2)
+        }
+    }
+}

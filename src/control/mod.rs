@@ -1,0 +1,1 @@
+//! The real-time control step, its thread, its clock and its timing report.

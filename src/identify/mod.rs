@@ -1,0 +1,1 @@
+//! Fitting a model's parameters to records, with intervals.

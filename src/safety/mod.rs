@@ -1,0 +1,1 @@
+//! Detectors, action ladder, supervisor and stop trajectories.

@@ -1,0 +1,1 @@
+//! Causal, per-sample signal processing: band-pass, averages, steady-state peaks, demodulation.

@@ -1,0 +1,6 @@
+//! Samples and how they travel: the types that every rig produces, and the lock-free rings that
+//! carry them from the control thread to the recorder and the live view.
+
+pub mod sample;
+
+pub use sample::{Channels, Command, Sample, StatusBits};

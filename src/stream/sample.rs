@@ -1,0 +1,67 @@
+//! One instant of the rig, and one command to it.
+
+/// All channels of one DAQ instant, raw (unfiltered), SI.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Channels {
+    /// Displacement of the table, m.
+    pub table_displacement_m: f64,
+    /// Acceleration of the table, m/s2.
+    pub table_acceleration_m_s2: f64,
+    /// Absolute acceleration at one edge of the mass, m/s2.
+    pub mass_acceleration_1_m_s2: f64,
+    /// Absolute acceleration at the opposite edge of the mass, m/s2.
+    pub mass_acceleration_2_m_s2: f64,
+    /// Displacement of the mass relative to the table, m (laser).
+    pub relative_displacement_m: f64,
+}
+
+impl Channels {
+    /// Mean of the two accelerometers on the mass: the absolute acceleration A, m/s2.
+    pub fn mass_acceleration_m_s2(&self) -> f64 {
+        0.5 * (self.mass_acceleration_1_m_s2 + self.mass_acceleration_2_m_s2)
+    }
+}
+
+/// Status bits that the DAQ or the drive sends with a sample; zero means healthy.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StatusBits(pub u32);
+
+impl StatusBits {
+    /// The drive is enabled and follows commands.
+    pub const DRIVE_ENABLED: u32 = 1 << 0;
+    /// The drive has tripped on its own.
+    pub const DRIVE_FAULT: u32 = 1 << 1;
+    /// The DAQ reports an input out of range.
+    pub const OVERRANGE: u32 = 1 << 2;
+    /// A link (serial or bus) is down.
+    pub const LINK_DOWN: u32 = 1 << 3;
+
+    /// Whether any of the given bits is set.
+    pub fn has(self, bits: u32) -> bool {
+        self.0 & bits != 0
+    }
+}
+
+/// One sample as the DAQ delivered it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sample {
+    /// The device's own sequence number, unwrapped to 64 bits; advances even when a sample is lost.
+    pub sequence: u64,
+    /// The device's time of this instant, us since its start.
+    pub device_time_us: u64,
+    /// Raw channels.
+    pub channels: Channels,
+    /// Device status.
+    pub status: StatusBits,
+}
+
+/// What the table is asked to do at one instant.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Command {
+    /// Table displacement, m.
+    pub displacement_m: f64,
+    /// Table velocity, m/s (feed-forward).
+    pub velocity_m_s: f64,
+    /// Table acceleration, m/s2 (feed-forward).
+    pub acceleration_m_s2: f64,
+}
