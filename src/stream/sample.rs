@@ -65,3 +65,24 @@ pub struct Command {
     /// Table acceleration, m/s2 (feed-forward).
     pub acceleration_m_s2: f64,
 }
+
+/// One row of a run: what was measured, what was asked, what the onboard model said.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Row {
+    /// The sample as delivered.
+    pub sample: Sample,
+    /// The command in force when the sample was taken.
+    pub command: Command,
+    /// Index of the sweep step within its counted cycles, -1 elsewhere.
+    pub step: i32,
+    /// Relative displacement of the onboard model, m.
+    pub model_displacement_m: f64,
+    /// Absolute mass acceleration of the onboard model, m/s2.
+    pub model_acceleration_m_s2: f64,
+    /// Active branch, contacts and friction state of the onboard model.
+    pub model_regime: crate::model::Regime,
+    /// State of the supervisor, its public number.
+    pub supervisor_state: u8,
+    /// Rows dropped just before this one because the ring was full.
+    pub lost_before: u32,
+}
