@@ -3,6 +3,8 @@
 //! The simulated, hardware and replay rigs are siblings behind [`Rig`]; the control step cannot
 //! tell them apart.
 
+pub mod simulated;
+
 use crate::stream::{Command, Sample};
 
 /// Why a rig refused or lost something.
