@@ -3,6 +3,7 @@
 //! The simulated, hardware and replay rigs are siblings behind [`Rig`]; the control step cannot
 //! tell them apart.
 
+pub mod replay;
 pub mod simulated;
 
 use crate::stream::{Command, Sample};

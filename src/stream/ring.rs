@@ -127,6 +127,11 @@ impl<E> RecorderEnd<E> {
         self.events.try_pop()
     }
 
+    /// Whether the control thread has let its end go; what is still in the rings remains readable.
+    pub fn closed(&self) -> bool {
+        !self.rows.write_is_held()
+    }
+
     /// Share of the ring that waits to be written, 0 to 1.
     pub fn fill(&self) -> f64 {
         self.rows.occupied_len() as f64 / self.rows.capacity().get() as f64

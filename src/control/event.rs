@@ -1,0 +1,115 @@
+//! What the control thread tells the rest beside the rows: slips, gaps, faults, finished steps.
+
+use super::timing::Phase;
+use crate::rig::RigFault;
+use crate::sweep::Direction;
+use serde::{Deserialize, Serialize};
+
+/// Result of one step of the sweep: steady state of measurement and onboard model over its last
+/// cycles, and how far apart they were over all its counted cycles.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StepSummary {
+    /// Index of the step, from 0.
+    pub index: u32,
+    /// Sweep direction.
+    pub direction: StepDirection,
+    /// Frequency, Hz.
+    pub frequency_hz: f64,
+    /// Largest absolute acceleration of the mass, measured, m/s2.
+    pub a_max_m_s2: f64,
+    /// Excursion (largest minus smallest relative displacement), measured, m.
+    pub excursion_m: f64,
+    /// Largest absolute acceleration of the mass, onboard model, m/s2.
+    pub model_a_max_m_s2: f64,
+    /// Excursion of the onboard model, m.
+    pub model_excursion_m: f64,
+    /// Root-mean-square difference of the accelerations over the standard deviation measured.
+    pub nrmse_a: f64,
+    /// Root-mean-square difference of the relative displacements over the standard deviation measured.
+    pub nrmse_d: f64,
+    /// Fundamental of the measured table acceleration over A_G.
+    pub table_amplitude_ratio: f64,
+}
+
+/// Direction of a sweep, with the default that plain-data events need.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum StepDirection {
+    /// Rising frequency.
+    #[default]
+    Forward,
+    /// Falling frequency.
+    Backward,
+}
+
+impl From<Direction> for StepDirection {
+    fn from(direction: Direction) -> Self {
+        match direction {
+            Direction::Forward => Self::Forward,
+            Direction::Backward => Self::Backward,
+        }
+    }
+}
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Ending {
+    /// The sweep is done and the table at rest.
+    Done,
+    /// Stopped on request.
+    Stopped,
+    /// Ended by the safety supervisor.
+    Aborted,
+    /// The rig or the recorder failed.
+    Failed,
+    /// The process ended before the run did.
+    Interrupted,
+}
+
+/// One event; `cycle` counts control periods from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(tag = "event", rename_all = "kebab-case")]
+pub enum Event {
+    /// The thread came one or more whole periods too late.
+    Slip {
+        /// Cycle that came too late.
+        cycle: u64,
+        /// Periods skipped.
+        periods: u64,
+        /// How late it came, us.
+        late_us: f64,
+        /// The phase that took the time.
+        phase: Phase,
+    },
+    /// The DAQ's sequence number jumped: samples that never arrived.
+    DaqGap {
+        /// Cycle in which it showed.
+        cycle: u64,
+        /// Last number before the gap.
+        after: u64,
+        /// Samples missing.
+        missing: u64,
+    },
+    /// The rig reported a fault.
+    RigFault {
+        /// Cycle in which it showed.
+        cycle: u64,
+        /// Which.
+        #[serde(serialize_with = "as_text")]
+        fault: RigFault,
+    },
+    /// A step of the sweep is finished.
+    Step(StepSummary),
+    /// The run is over.
+    End {
+        /// Last cycle.
+        cycle: u64,
+        /// How.
+        ending: Ending,
+    },
+}
+
+fn as_text<S: serde::Serializer>(fault: &RigFault, sink: S) -> Result<S::Ok, S::Error> {
+    sink.collect_str(fault)
+}

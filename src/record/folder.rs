@@ -1,0 +1,292 @@
+//! Run folders: what is in one, how it is made, listed and found again.
+
+use super::samples::SampleFileError;
+use crate::control::event::Ending;
+use crate::control::thread::RealTime;
+use crate::control::timing::TimingReport;
+use serde::{Deserialize, Serialize};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+/// Version of the run folder's layout.
+pub const FORMAT: u32 = 1;
+
+/// Why a run folder could not be made, read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The file system refused.
+    #[error("{path}: {source}")]
+    Io {
+        /// Which file or folder.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The sample file is damaged or foreign.
+    #[error(transparent)]
+    Samples(#[from] SampleFileError),
+    /// `run.toml` is not what it should be.
+    #[error("{path}: {reason}")]
+    Manifest {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+/// An input-output error with its path.
+pub(super) fn io(path: &Path) -> impl Fn(std::io::Error) -> RunError + '_ {
+    move |source| RunError::Io { path: path.to_owned(), source }
+}
+
+/// State of a run as `run.toml` has it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RunState {
+    /// The run goes on, or its process died: see [`RunFolder::state`].
+    Running,
+    /// The sweep was run to its end.
+    Done,
+    /// Stopped on request.
+    Stopped,
+    /// Ended by the safety supervisor.
+    Aborted,
+    /// The rig or the recorder failed.
+    Failed,
+    /// The process ended before the run did.
+    Interrupted,
+}
+
+impl From<Ending> for RunState {
+    fn from(ending: Ending) -> Self {
+        match ending {
+            Ending::Done => Self::Done,
+            Ending::Stopped => Self::Stopped,
+            Ending::Aborted => Self::Aborted,
+            Ending::Failed => Self::Failed,
+            Ending::Interrupted => Self::Interrupted,
+        }
+    }
+}
+
+impl RunState {
+    /// The word of the files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Running => "running",
+            Self::Done => "done",
+            Self::Stopped => "stopped",
+            Self::Aborted => "aborted",
+            Self::Failed => "failed",
+            Self::Interrupted => "interrupted",
+        }
+    }
+}
+
+/// What was lost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LossReport {
+    /// Samples that the DAQ took and the file does not have, whatever the reason.
+    pub samples: u64,
+    /// Of these, dropped because the recorder's ring was full.
+    pub ring: u64,
+    /// Of these, never delivered by the DAQ.
+    pub daq: u64,
+    /// Events dropped because their ring was full.
+    pub events: u64,
+    /// Rows that the live view missed (allowed).
+    pub live: u64,
+}
+
+/// `run.toml`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// [`FORMAT`].
+    pub format: u32,
+    /// Name of the run.
+    pub name: String,
+    /// How it stands.
+    pub state: RunState,
+    /// First-out cause of an abort or failure.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cause: Option<String>,
+    /// Nothing was lost and the run ended as asked.
+    pub clean: bool,
+    /// Start, UTC, RFC 3339.
+    pub started_utc: String,
+    /// End, UTC, RFC 3339.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ended_utc: Option<String>,
+    /// Version of the product that wrote it.
+    pub version: String,
+    /// `virtual` or `wall`.
+    pub clock: String,
+    /// Sampling and control rate, Hz.
+    pub sample_rate_hz: f64,
+    /// Seed of the simulated rig.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+    /// Case of the paper's Table 1, if one was named.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub case: Option<String>,
+    /// Rows in `samples.h5`.
+    pub samples: u64,
+    /// SHA-256 of all rows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub samples_sha256: Option<String>,
+    /// What was lost.
+    #[serde(default)]
+    pub lost: LossReport,
+    /// Real-time set-up; absent in virtual time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub real_time: Option<RealTime>,
+    /// Timing of the control thread.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub timing: Option<TimingReport>,
+    /// SHA-256 of each configuration below, as text.
+    #[serde(default)]
+    pub sha256: std::collections::BTreeMap<String, String>,
+    /// Every configuration of the run by its role (`rig`, `sweep`, `model`, `specimen`, `safety`), as
+    /// TOML text.
+    #[serde(default)]
+    pub configuration: std::collections::BTreeMap<String, String>,
+}
+
+/// A run folder on disk. The one that writes it holds its lock until it ends, in whatever way.
+#[derive(Debug)]
+pub struct RunFolder {
+    path: PathBuf,
+    _lock: Option<File>,
+}
+
+impl RunFolder {
+    /// Makes `<out>/<utc time>-<name>/` and takes its lock.
+    ///
+    /// # Errors
+    /// [`RunError::Io`].
+    pub fn create(out: &Path, name: &str) -> Result<Self, RunError> {
+        let stamp = chrono::Utc::now().format("%Y%m%dT%H%M%SZ");
+        let safe: String = name
+            .chars()
+            .map(|c| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '-' })
+            .collect();
+        fs::create_dir_all(out).map_err(io(out))?;
+        let mut path = out.join(format!("{stamp}-{safe}"));
+        let mut again = 1;
+        while let Err(error) = fs::create_dir(&path) {
+            if error.kind() != std::io::ErrorKind::AlreadyExists || again > 999 {
+                return Err(io(&path)(error));
+            }
+            again += 1;
+            path = out.join(format!("{stamp}-{safe}-{again}"));
+        }
+        let lock_path = path.join(".lock");
+        let lock = File::create(&lock_path).map_err(io(&lock_path))?;
+        lock.lock().map_err(io(&lock_path))?;
+        Ok(Self { path, _lock: Some(lock) })
+    }
+
+    /// Opens an existing folder for reading.
+    ///
+    /// # Errors
+    /// [`RunError::Io`] when there is no `run.toml`.
+    pub fn open(path: &Path) -> Result<Self, RunError> {
+        let manifest = path.join("run.toml");
+        fs::metadata(&manifest).map_err(io(&manifest))?;
+        Ok(Self { path: path.to_owned(), _lock: None })
+    }
+
+    /// The folder.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// `samples.h5`.
+    pub fn samples(&self) -> PathBuf {
+        self.path.join("samples.h5")
+    }
+
+    /// `events.jsonl`.
+    pub fn events(&self) -> PathBuf {
+        self.path.join("events.jsonl")
+    }
+
+    /// `steps.csv`.
+    pub fn steps(&self) -> PathBuf {
+        self.path.join("steps.csv")
+    }
+
+    /// `integrity.txt`: rows and hash of everything up to there, a line a chunk.
+    pub fn integrity(&self) -> PathBuf {
+        self.path.join("integrity.txt")
+    }
+
+    /// `report.html`.
+    pub fn report(&self) -> PathBuf {
+        self.path.join("report.html")
+    }
+
+    /// Reads `run.toml`.
+    ///
+    /// # Errors
+    /// [`RunError`] when it is missing or not readable as one.
+    pub fn manifest(&self) -> Result<Manifest, RunError> {
+        let path = self.path.join("run.toml");
+        let text = fs::read_to_string(&path).map_err(io(&path))?;
+        toml::from_str(&text).map_err(|error| RunError::Manifest { path, reason: error.to_string() })
+    }
+
+    /// Replaces `run.toml` as a whole, so that a reader sees the old or the new one.
+    ///
+    /// # Errors
+    /// [`RunError`] when it cannot be written.
+    pub fn write_manifest(&self, manifest: &Manifest) -> Result<(), RunError> {
+        let path = self.path.join("run.toml");
+        let text = toml::to_string(manifest)
+            .map_err(|error| RunError::Manifest { path: path.clone(), reason: error.to_string() })?;
+        let new = self.path.join(".run.toml.new");
+        fs::write(&new, text).map_err(io(&new))?;
+        fs::rename(&new, &path).map_err(io(&path))
+    }
+
+    /// How the run stands: one that calls itself running while nobody holds its lock was interrupted.
+    pub fn state(&self, manifest: &Manifest) -> RunState {
+        if manifest.state == RunState::Running && !self.is_locked() {
+            RunState::Interrupted
+        } else {
+            manifest.state
+        }
+    }
+
+    fn is_locked(&self) -> bool {
+        if self._lock.is_some() {
+            return true;
+        }
+        File::open(self.path.join(".lock"))
+            .is_ok_and(|lock| matches!(lock.try_lock_shared(), Err(fs::TryLockError::WouldBlock)))
+    }
+}
+
+/// All run folders below a directory, oldest first, with what their `run.toml` says.
+///
+/// # Errors
+/// [`RunError::Io`] when the directory cannot be read; a folder with a broken `run.toml` is listed with
+/// its error.
+pub fn list(out: &Path) -> Result<Vec<(PathBuf, Result<(Manifest, RunState), RunError>)>, RunError> {
+    let mut runs = Vec::new();
+    for entry in fs::read_dir(out).map_err(io(out))? {
+        let path = entry.map_err(io(out))?.path();
+        if !path.join("run.toml").exists() {
+            continue;
+        }
+        let read = RunFolder::open(&path).and_then(|folder| {
+            let manifest = folder.manifest()?;
+            let state = folder.state(&manifest);
+            Ok((manifest, state))
+        });
+        runs.push((path, read));
+    }
+    runs.sort_by(|a, b| a.0.cmp(&b.0));
+    Ok(runs)
+}

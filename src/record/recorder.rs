@@ -1,0 +1,314 @@
+//! The recorder: an ordinary thread that empties the rings of the control thread into a run folder.
+//! Every way in which something can be lost is found here, counted and written down: a full ring, a
+//! DAQ that skipped numbers, a disk that refuses.
+
+use super::folder::{LossReport, RunError, RunFolder, io};
+use super::samples::{CHUNK_ROWS, SampleWriter};
+use crate::control::event::{Ending, Event, StepSummary};
+use crate::stream::{RecorderEnd, Row};
+use crossbeam::channel::Sender;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::time::{Duration, Instant};
+
+/// Rows that are written together at least, unless the run has ended: a quarter of a second.
+const BLOCK_ROWS: usize = 512;
+/// Longest that rows wait for a full block, which bounds what a killed process loses.
+const LONGEST_WAIT: Duration = Duration::from_millis(250);
+/// How often written rows are forced to the disk, which bounds what a power cut loses.
+const SYNC_EVERY: Duration = Duration::from_secs(1);
+/// How often the rings are looked into while they are empty; the control thread wakes nobody.
+const POLL: Duration = Duration::from_millis(5);
+
+/// What the recorder tells the operator's side while it works.
+#[derive(Clone, Debug)]
+pub enum Notice {
+    /// An event of the control thread, already written down.
+    Event(Event),
+    /// The newest row written.
+    Row(Row),
+    /// Something could not be written; the run is no longer clean and should be stopped.
+    Failed(String),
+}
+
+/// What the recorder has to say at the end.
+#[derive(Clone, Debug, Default)]
+pub struct Recorded {
+    /// Rows written.
+    pub rows: u64,
+    /// SHA-256 of all rows.
+    pub sha256: String,
+    /// What was lost.
+    pub lost: LossReport,
+    /// Results of the steps.
+    pub steps: Vec<StepSummary>,
+    /// How the control thread ended the run, if it said so.
+    pub ending: Option<Ending>,
+    /// First error in writing.
+    pub error: Option<String>,
+}
+
+struct Recorder<'a> {
+    end: RecorderEnd<Event>,
+    notices: &'a Sender<Notice>,
+    samples: SampleWriter,
+    events: BufWriter<File>,
+    steps: BufWriter<File>,
+    integrity: BufWriter<File>,
+    rows: Vec<Row>,
+    last_sequence: Option<u64>,
+    marked_lost: u64,
+    daq_lost: u64,
+    result: Recorded,
+}
+
+/// Head of `steps.csv`.
+pub const STEPS_HEAD: &str = "index,direction,frequency_hz,a_max_m_s2,excursion_m,model_a_max_m_s2,\
+                              model_excursion_m,nrmse_a,nrmse_d,table_amplitude_ratio";
+
+/// One line of `steps.csv`.
+pub fn steps_line(step: &StepSummary) -> String {
+    let direction = match step.direction {
+        crate::control::event::StepDirection::Forward => "forward",
+        crate::control::event::StepDirection::Backward => "backward",
+    };
+    format!(
+        "{},{direction},{},{},{},{},{},{},{},{}",
+        step.index,
+        step.frequency_hz,
+        step.a_max_m_s2,
+        step.excursion_m,
+        step.model_a_max_m_s2,
+        step.model_excursion_m,
+        step.nrmse_a,
+        step.nrmse_d,
+        step.table_amplitude_ratio
+    )
+}
+
+/// Records until the control thread lets its end of the rings go and everything is written.
+///
+/// # Errors
+/// [`RunError`] when the files cannot be made at all; later failures are in [`Recorded::error`] and told
+/// at once through `notices`, and the rings go on being emptied.
+pub fn record(
+    folder: &RunFolder,
+    end: RecorderEnd<Event>,
+    sample_rate_hz: f64,
+    notices: &Sender<Notice>,
+) -> Result<Recorded, RunError> {
+    let create = |path: std::path::PathBuf| File::create(&path).map(BufWriter::new).map_err(io(&path));
+    let mut recorder = Recorder {
+        samples: SampleWriter::create(&folder.samples(), sample_rate_hz)?,
+        events: create(folder.events())?,
+        steps: create(folder.steps())?,
+        integrity: create(folder.integrity())?,
+        rows: Vec::with_capacity(4 * CHUNK_ROWS),
+        end,
+        notices,
+        last_sequence: None,
+        marked_lost: 0,
+        daq_lost: 0,
+        result: Recorded::default(),
+    };
+    writeln!(recorder.steps, "{STEPS_HEAD}").map_err(io(&folder.steps()))?;
+    recorder.run();
+    Ok(recorder.finish())
+}
+
+impl Recorder<'_> {
+    fn run(&mut self) {
+        let (mut written, mut synced) = (Instant::now(), Instant::now());
+        loop {
+            // Asked first: what was published before the end was let go is then seen below.
+            let closed = self.end.closed();
+            let taken = self.end.take_rows(&mut self.rows);
+            self.take_events();
+            let due = self.rows.len() >= BLOCK_ROWS || written.elapsed() >= LONGEST_WAIT || closed;
+            if due && !self.rows.is_empty() {
+                self.write_rows();
+                written = Instant::now();
+            }
+            if synced.elapsed() >= SYNC_EVERY {
+                let outcome = self.samples.sync().map_err(|error| error.to_string());
+                self.note(outcome);
+                synced = Instant::now();
+            }
+            if closed && taken == 0 && self.rows.is_empty() {
+                break;
+            }
+            if taken == 0 && !closed {
+                std::thread::park_timeout(POLL);
+            }
+        }
+    }
+
+    /// Keeps the first error, tells it, and goes on.
+    fn note(&mut self, outcome: Result<(), String>) {
+        if let Err(error) = outcome
+            && self.result.error.is_none()
+        {
+            self.result.error = Some(error.clone());
+            // Nobody listening any more is no reason to stop recording.
+            let _ = self.notices.send(Notice::Failed(error));
+        }
+    }
+
+    fn write_rows(&mut self) {
+        let rows = std::mem::take(&mut self.rows);
+        for row in &rows {
+            self.watch_sequence(row);
+        }
+        let integrity = &mut self.integrity;
+        let mut linked = Ok(());
+        let appended = self.samples.append(&rows, |count, hash| {
+            linked = writeln!(integrity, "{count} {hash}").and_then(|()| integrity.flush());
+        });
+        if appended.is_err() {
+            self.result.lost.samples += rows.len() as u64;
+        }
+        self.note(appended.map_err(|error| error.to_string()));
+        self.note(linked.map_err(|error| error.to_string()));
+        if let Some(last) = rows.last() {
+            let _ = self.notices.try_send(Notice::Row(*last));
+        }
+        self.rows = rows;
+        self.rows.clear();
+    }
+
+    /// Finds jumps in the numbers and says what they are: rows the ring dropped, or samples that the DAQ
+    /// never delivered.
+    fn watch_sequence(&mut self, row: &Row) {
+        let sequence = row.sample.sequence;
+        let ring = u64::from(row.lost_before);
+        self.marked_lost += ring;
+        if let Some(last) = self.last_sequence {
+            let missing = sequence.saturating_sub(last + 1);
+            if missing > 0 {
+                self.gap(Some(last), Some(sequence), missing, ring.min(missing));
+                self.daq_lost += missing.saturating_sub(ring);
+            }
+        } else if ring > 0 {
+            self.gap(None, Some(sequence), ring, ring);
+        }
+        self.last_sequence = Some(sequence.max(self.last_sequence.unwrap_or(0)));
+    }
+
+    /// Writes a gap record.
+    fn gap(&mut self, after: Option<u64>, before: Option<u64>, missing: u64, ring: u64) {
+        let record = serde_json::json!({
+            "event": "gap", "after": after, "before": before, "missing": missing,
+            "dropped_by_ring": ring, "not_delivered_by_daq": missing.saturating_sub(ring),
+        });
+        self.write_event(&record.to_string());
+    }
+
+    fn write_event(&mut self, line: &str) {
+        let outcome = writeln!(self.events, "{line}").and_then(|()| self.events.flush());
+        self.note(outcome.map_err(|error| format!("events.jsonl: {error}")));
+    }
+
+    fn take_events(&mut self) {
+        while let Some(event) = self.end.take_event() {
+            match serde_json::to_string(&event) {
+                Ok(line) => self.write_event(&line),
+                Err(error) => self.note(Err(error.to_string())),
+            }
+            match event {
+                Event::Step(step) => {
+                    let outcome =
+                        writeln!(self.steps, "{}", steps_line(&step)).and_then(|()| self.steps.flush());
+                    self.note(outcome.map_err(|error| format!("steps.csv: {error}")));
+                    self.result.steps.push(step);
+                }
+                Event::End { ending, .. } => self.result.ending = Some(ending),
+                _ => {}
+            }
+            let _ = self.notices.try_send(Notice::Event(event));
+        }
+    }
+
+    fn finish(mut self) -> Recorded {
+        self.take_events();
+        let losses = self.end.losses();
+        let unmarked = losses.record.saturating_sub(self.marked_lost);
+        if unmarked > 0 {
+            let last = self.last_sequence;
+            self.gap(last, None, unmarked, unmarked);
+        }
+        let lost = &mut self.result.lost;
+        lost.ring = losses.record;
+        lost.daq = self.daq_lost;
+        lost.samples += losses.record + self.daq_lost;
+        lost.events = losses.events;
+        lost.live = losses.live;
+        self.result.rows = self.samples.rows();
+        match self.samples.close() {
+            Ok(hash) => self.result.sha256 = hash,
+            Err(error) => {
+                self.result.error.get_or_insert(error.to_string());
+            }
+        }
+        self.result
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::samples::SampleReader;
+    use crate::stream::{Depths, Sample, split};
+
+    fn row(sequence: u64) -> Row {
+        Row { sample: Sample { sequence, ..Sample::default() }, ..Row::default() }
+    }
+
+    #[test]
+    fn an_overflowing_ring_is_counted_recorded_and_told_apart_from_the_daq() {
+        let out = tempfile::tempdir().expect("folder");
+        let folder = RunFolder::create(out.path(), "overflow").expect("made");
+        let depths = Depths { record: 100, ..Depths::default() };
+        let (mut control, mut end, _view, _operator) = split::<Event, ()>(depths);
+        // Nobody reads yet: of 150 rows the last 50 are dropped. The DAQ itself skips 5 numbers later.
+        for sequence in 0..150 {
+            control.publish(&row(sequence));
+        }
+        let mut first = Vec::with_capacity(100);
+        assert_eq!(end.take_rows(&mut first), 100);
+        for sequence in (150..170).chain(175..180) {
+            control.publish(&row(sequence));
+        }
+        drop(control);
+        let (notices, _told) = crossbeam::channel::unbounded();
+        let recorded = record(&folder, end, 2048.0, &notices).expect("recorded");
+        assert_eq!(recorded.rows, 25);
+        assert_eq!(recorded.lost, LossReport { samples: 55, ring: 50, daq: 5, events: 0, live: 0 });
+        let reader = SampleReader::open(&folder.samples()).expect("opens");
+        let rows = reader.read(0, 25).expect("reads");
+        assert_eq!((rows[0].sample.sequence, rows[0].lost_before), (150, 50));
+        let events = std::fs::read_to_string(folder.events()).expect("events");
+        let gaps: Vec<serde_json::Value> =
+            events.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+        assert_eq!(gaps.len(), 2);
+        assert_eq!((gaps[0]["before"].as_u64(), gaps[0]["missing"].as_u64()), (Some(150), Some(50)));
+        assert_eq!(gaps[1]["after"].as_u64(), Some(169));
+        assert_eq!(gaps[1]["not_delivered_by_daq"].as_u64(), Some(5));
+    }
+
+    #[test]
+    fn rows_dropped_at_the_very_end_are_found() {
+        let out = tempfile::tempdir().expect("folder");
+        let folder = RunFolder::create(out.path(), "tail").expect("made");
+        let depths = Depths { record: 10, ..Depths::default() };
+        let (mut control, end, _view, _operator) = split::<Event, ()>(depths);
+        for sequence in 0..14 {
+            control.publish(&row(sequence));
+        }
+        drop(control);
+        let (notices, _told) = crossbeam::channel::unbounded();
+        let recorded = record(&folder, end, 2048.0, &notices).expect("recorded");
+        assert_eq!((recorded.rows, recorded.lost.samples), (10, 4));
+        let events = std::fs::read_to_string(folder.events()).expect("events");
+        assert!(events.contains("\"after\":9") && events.contains("\"missing\":4"), "{events}");
+    }
+}
