@@ -5,6 +5,9 @@
 
 pub mod replay;
 pub mod simulated;
+pub mod spec;
+
+pub use spec::{Capacity, RigSpec, Tolerances};
 
 use crate::stream::{Command, Sample};
 

@@ -1,5 +1,11 @@
 //! Reading TOML so that every mistake is answered with file, line, reason and allowed range.
 
+pub mod builtin;
+pub mod case;
+pub mod published;
+
+pub use case::Case;
+
 use miette::{Diagnostic, NamedSource, SourceSpan};
 use serde::de::DeserializeOwned;
 use std::path::Path;
