@@ -9,6 +9,7 @@ pub use case::Case;
 use miette::{Diagnostic, NamedSource, SourceSpan};
 use serde::de::DeserializeOwned;
 use std::path::Path;
+use std::sync::Arc;
 
 /// A configuration that was refused.
 #[derive(Debug, thiserror::Error, Diagnostic)]
@@ -32,7 +33,7 @@ pub enum ConfigError {
         reason: String,
         /// The text, for the excerpt.
         #[source_code]
-        text: NamedSource<String>,
+        text: Arc<NamedSource<String>>,
         /// Where in the text.
         #[label("here")]
         span: SourceSpan,
@@ -79,7 +80,7 @@ fn invalid(file: &str, text: &str, span: std::ops::Range<usize>, reason: String)
         file: file.to_owned(),
         line: text[..start].matches('\n').count() + 1,
         reason,
-        text: NamedSource::new(file, text.to_owned()),
+        text: Arc::new(NamedSource::new(file, text.to_owned())),
         span: (start..span.end.clamp(start, text.len())).into(),
     }
 }
