@@ -1,1 +1,20 @@
-//! Causal, per-sample signal processing: band-pass, averages, steady-state peaks, demodulation.
+//! Causal, per-sample signal processing: band-pass, steady-state peaks, synchronous demodulation.
+//!
+//! The control step pushes every sample through a [`FilterBank`] and a [`StepAnalyzer`]; nothing of
+//! them allocates after construction. [`analyse_record`] runs the same code over a record that was
+//! read from a file. Raw channels are what is stored; everything here is derived from them.
+
+mod analyzer;
+mod butterworth;
+mod offline;
+
+pub use analyzer::{ChannelResult, CyclePlace, HARMONICS, Harmonic, MAX_CYCLES, StepAnalyzer, StepResult};
+pub use butterworth::{BandPass, FilterBank};
+pub use offline::{RecordStep, analyse_record, band_pass, fundamental_hz};
+
+/// Lower corner of the paper's band-pass, Hz (Andreaus and De Angelis 2020).
+pub const BAND_LOW_HZ: f64 = 0.16;
+/// Upper corner of the paper's band-pass, Hz.
+pub const BAND_HIGH_HZ: f64 = 30.0;
+/// Cycles at the end of a step that count as its steady state.
+pub const STEADY_CYCLES: usize = 3;
