@@ -43,10 +43,11 @@ proptest! {
         }
         let exact = (0..100_000).map(|i| rich(TAU * f64::from(i) / 1e5));
         let (max, min) = exact.fold((f64::MIN, f64::MAX), |(a, b), y| (a.max(y), b.min(y)));
-        // between samples a peak of curvature 3 w^2 hides at most that times dt^2/8
-        let hidden = 3.0 * 4.0 * (TAU * step).powi(2) / 8.0;
-        prop_assert!(channel.max <= max + 1e-12 && channel.max > max - hidden);
-        prop_assert!(channel.min >= min - 1e-12 && channel.min < min + hidden);
+        // the curvature is at most 3 + 4 0.5 + 9 0.3 + 16 0.2 + 25 0.1 = 13.4; a peak between samples hides
+        // at most that times the squared distance over 8, and so does one of the reference
+        let (hidden, missed) = (13.4 * (TAU * step).powi(2) / 8.0, 13.4 * (TAU * 1e-5_f64).powi(2) / 8.0);
+        prop_assert!(channel.max <= max + missed && channel.max > max - hidden);
+        prop_assert!(channel.min >= min - missed && channel.min < min + hidden);
     }
 }
 
