@@ -51,6 +51,16 @@ impl From<Direction> for StepDirection {
     }
 }
 
+/// How far the onboard model is from the measurement: root-mean-square difference over the standard
+/// deviation measured, both after the band-pass.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ModelError {
+    /// Of the absolute acceleration of the mass.
+    pub nrmse_a: f64,
+    /// Of the relative displacement.
+    pub nrmse_d: f64,
+}
+
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -107,6 +117,15 @@ pub enum Event {
         cycle: u64,
         /// How.
         ending: Ending,
+        /// Onboard model against measurement over all counted cycles.
+        error: ModelError,
+    },
+    /// How far the onboard model is off at the moment; shown, not recorded.
+    Live {
+        /// Cycle.
+        cycle: u64,
+        /// Running error.
+        error: ModelError,
     },
 }
 

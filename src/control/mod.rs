@@ -1,10 +1,16 @@
 //! The real-time control step, its thread, its clock and its timing report.
 
+pub mod chain;
 pub mod clock;
 pub mod event;
+mod reference;
+pub mod session;
+pub mod step;
 pub mod thread;
 pub mod timing;
 
+pub use chain::{Chain, Conditioned};
 pub use clock::{Clock, Tick, VirtualClock, WallClock};
-pub use event::{Ending, Event, StepDirection, StepSummary};
+pub use event::{Ending, Event, ModelError, StepDirection, StepSummary};
+pub use step::{Controller, Parts, Request};
 pub use timing::{Percentiles, Phase, StepTimes, Timing, TimingReport};

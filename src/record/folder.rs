@@ -160,6 +160,41 @@ pub struct RunFolder {
     _lock: Option<File>,
 }
 
+impl Manifest {
+    /// What is known when a run starts; clock, seed, case and configurations are filled in by the caller.
+    pub fn new(name: &str, sample_rate_hz: f64) -> Self {
+        Self {
+            format: FORMAT,
+            name: name.to_owned(),
+            state: RunState::Running,
+            cause: None,
+            clean: false,
+            started_utc: now_utc(),
+            ended_utc: None,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            clock: "virtual".to_owned(),
+            sample_rate_hz,
+            seed: None,
+            case: None,
+            samples: 0,
+            samples_sha256: None,
+            lost: LossReport::default(),
+            real_time: None,
+            timing: None,
+            sha256: std::collections::BTreeMap::new(),
+            configuration: std::collections::BTreeMap::new(),
+        }
+    }
+
+    /// Keeps the text of a configuration and its hash.
+    pub fn configure(&mut self, role: &str, text: String) {
+        use sha2::Digest;
+        let hash = super::samples::hex(&sha2::Sha256::digest(text.as_bytes()));
+        self.sha256.insert(role.to_owned(), hash);
+        self.configuration.insert(role.to_owned(), text);
+    }
+}
+
 impl RunFolder {
     /// Makes `<out>/<utc time>-<name>/` and takes its lock.
     ///
@@ -185,6 +220,11 @@ impl RunFolder {
         let lock = File::create(&lock_path).map_err(io(&lock_path))?;
         lock.lock().map_err(io(&lock_path))?;
         Ok(Self { path, _lock: Some(lock) })
+    }
+
+    /// The same folder for a second thread of the run, without its lock.
+    pub(crate) fn open_path(path: &Path) -> Self {
+        Self { path: path.to_owned(), _lock: None }
     }
 
     /// Opens an existing folder for reading.
@@ -268,12 +308,20 @@ impl RunFolder {
     }
 }
 
+/// Now, UTC, RFC 3339.
+pub fn now_utc() -> String {
+    chrono::Utc::now().to_rfc3339_opts(chrono::SecondsFormat::Millis, true)
+}
+
+/// A run folder and what its `run.toml` says, or why that cannot be read.
+pub type Listed = (PathBuf, Result<(Manifest, RunState), RunError>);
+
 /// All run folders below a directory, oldest first, with what their `run.toml` says.
 ///
 /// # Errors
 /// [`RunError::Io`] when the directory cannot be read; a folder with a broken `run.toml` is listed with
 /// its error.
-pub fn list(out: &Path) -> Result<Vec<(PathBuf, Result<(Manifest, RunState), RunError>)>, RunError> {
+pub fn list(out: &Path) -> Result<Vec<Listed>, RunError> {
     let mut runs = Vec::new();
     for entry in fs::read_dir(out).map_err(io(out))? {
         let path = entry.map_err(io(out))?.path();

@@ -4,7 +4,7 @@
 
 use super::folder::{LossReport, RunError, RunFolder, io};
 use super::samples::{CHUNK_ROWS, SampleWriter};
-use crate::control::event::{Ending, Event, StepSummary};
+use crate::control::event::{Ending, Event, ModelError, StepSummary};
 use crate::stream::{RecorderEnd, Row};
 use crossbeam::channel::Sender;
 use std::fs::File;
@@ -44,6 +44,8 @@ pub struct Recorded {
     pub steps: Vec<StepSummary>,
     /// How the control thread ended the run, if it said so.
     pub ending: Option<Ending>,
+    /// Onboard model against measurement over all counted cycles.
+    pub model_error: ModelError,
     /// First error in writing.
     pub error: Option<String>,
 }
@@ -210,6 +212,10 @@ impl Recorder<'_> {
 
     fn take_events(&mut self) {
         while let Some(event) = self.end.take_event() {
+            if matches!(event, Event::Live { .. }) {
+                let _ = self.notices.try_send(Notice::Event(event));
+                continue;
+            }
             match serde_json::to_string(&event) {
                 Ok(line) => self.write_event(&line),
                 Err(error) => self.note(Err(error.to_string())),
@@ -221,7 +227,10 @@ impl Recorder<'_> {
                     self.note(outcome.map_err(|error| format!("steps.csv: {error}")));
                     self.result.steps.push(step);
                 }
-                Event::End { ending, .. } => self.result.ending = Some(ending),
+                Event::End { ending, error, .. } => {
+                    self.result.ending = Some(ending);
+                    self.result.model_error = error;
+                }
                 _ => {}
             }
             let _ = self.notices.try_send(Notice::Event(event));

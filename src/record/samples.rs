@@ -137,7 +137,7 @@ impl RowHash {
             let (now, rest) = rows.split_at(missing.min(rows.len()));
             self.hasher.update(now);
             self.rows += now.len() / ROW_BYTES;
-            if self.rows % CHUNK_ROWS == 0 {
+            if self.rows.is_multiple_of(CHUNK_ROWS) {
                 link(self.rows, self.hex());
             }
             rows = rest;
