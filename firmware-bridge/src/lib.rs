@@ -12,4 +12,13 @@
 #[cfg(feature = "std")]
 extern crate std;
 
+pub mod canopen;
+#[cfg(feature = "std")]
+pub mod clock;
+#[cfg(feature = "std")]
+pub mod daq;
+#[cfg(feature = "std")]
+pub mod drive;
+#[cfg(feature = "std")]
+pub mod emulator;
 pub mod wire;
