@@ -30,6 +30,7 @@ impl Source {
 const BUILT_IN: &[(&str, &str, &str)] = &[
     ("rigs", "simulated", include_str!("../../config/rigs/simulated.toml")),
     ("rigs", "simulated-foldback", include_str!("../../config/rigs/simulated-foldback.toml")),
+    ("rigs", "lab", include_str!("../../config/rigs/lab.toml")),
     ("sweeps", "andreaus-2020", include_str!("../../config/sweeps/andreaus-2020.toml")),
     ("sweeps", "quick", include_str!("../../config/sweeps/quick.toml")),
     ("sweeps", "log-settled", include_str!("../../config/sweeps/log-settled.toml")),

@@ -3,6 +3,7 @@
 //! The simulated, hardware and replay rigs are siblings behind [`Rig`]; the control step cannot
 //! tell them apart.
 
+pub mod hardware;
 pub mod replay;
 pub mod simulated;
 pub mod spec;
@@ -15,10 +16,10 @@ use crate::stream::{Command, Sample};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RigFault {
     /// The link to the DAQ is down.
-    #[error("the DAQ link is down")]
+    #[error("the DAQ link is down: check the DAQ cable")]
     DaqLink,
     /// The link to the drive is down.
-    #[error("the drive link is down")]
+    #[error("the drive link is down: check the drive cable")]
     DriveLink,
     /// The drive tripped by itself.
     #[error("the drive has tripped")]

@@ -2,6 +2,7 @@
 //! instruments can be trusted. The simulated rig is built from it, the preview and the stop
 //! trajectories keep inside its capacity, diagnosis reads the tolerances.
 
+use super::hardware::HardwareSpec;
 use super::simulated::{SensorSpec, SimulatedSpec, TableSpec};
 use crate::config::Check;
 use crate::units::SAMPLE_RATE_HZ;
@@ -29,6 +30,9 @@ pub struct RigSpec {
     /// reported as physics).
     #[serde(default)]
     pub tolerances: Tolerances,
+    /// Real devices; absent: the rig is simulated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hardware: Option<HardwareSpec>,
 }
 
 /// What a table can give; a sweep that asks for more is refused.
@@ -90,6 +94,7 @@ impl Default for RigSpec {
             table: TableSpec::default(),
             sensors: SensorSpec::default(),
             tolerances: Tolerances::default(),
+            hardware: None,
         }
     }
 }
@@ -129,6 +134,7 @@ impl Check for RigSpec {
                 return Err((key.to_owned(), format!("{value} {unit}; allowed: {low} to {high} {unit}")));
             }
         }
+        self.hardware.as_ref().map_or(Ok(()), Check::check)?;
         self.simulated().check()
     }
 }

@@ -93,7 +93,7 @@ pub struct DaqCounters {
 /// A sampling device: samples come out of a ring.
 pub struct DaqStream {
     samples: HeapCons<DaqSample>,
-    shared: Arc<Shared>,
+    monitor: DaqMonitor,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -128,7 +128,7 @@ impl DaqStream {
                 receiver.run(port, deframer, silence);
             })
             .map_err(DaqError::Thread)?;
-        Ok(Self { samples, shared, thread: Some(thread) })
+        Ok(Self { samples, monitor: DaqMonitor(shared), thread: Some(thread) })
     }
 
     /// The next sample, oldest first. Never waits.
@@ -138,14 +138,35 @@ impl DaqStream {
 
     /// Why the stream ended, if it has. Samples that came before are still in the ring.
     pub fn fault(&self) -> Option<DaqFault> {
-        DaqFault::from_code(self.shared.fault.load(Ordering::Acquire))
+        self.monitor.fault()
+    }
+
+    /// Counters and clock model.
+    pub fn counters(&self) -> DaqCounters {
+        self.monitor.counters()
+    }
+
+    /// A second pair of eyes, for another thread.
+    pub fn monitor(&self) -> DaqMonitor {
+        self.monitor.clone()
+    }
+}
+
+/// Tells how the line does, from any thread, also after the stream is gone.
+#[derive(Clone, Debug)]
+pub struct DaqMonitor(Arc<Shared>);
+
+impl DaqMonitor {
+    /// Why the stream ended, if it has.
+    pub fn fault(&self) -> Option<DaqFault> {
+        DaqFault::from_code(self.0.fault.load(Ordering::Acquire))
     }
 
     /// Counters and clock model.
     pub fn counters(&self) -> DaqCounters {
         let get = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let float = |bits: &AtomicU64| f64::from_bits(bits.load(Ordering::Relaxed));
-        let s = &*self.shared;
+        let s = &*self.0;
         DaqCounters {
             samples: get(&s.samples),
             lost: get(&s.lost),
@@ -167,7 +188,7 @@ impl DaqStream {
 
 impl Drop for DaqStream {
     fn drop(&mut self) {
-        self.shared.stop.store(true, Ordering::Release);
+        self.monitor.0.stop.store(true, Ordering::Release);
         if let Some(thread) = self.thread.take() {
             // A panic on the link thread has been printed by the runtime; nothing is left to do here.
             let _ = thread.join();

@@ -8,7 +8,7 @@ mod link;
 mod port;
 mod session;
 
-pub use link::{DaqCounters, DaqFault, DaqSample, DaqStream};
+pub use link::{DaqCounters, DaqFault, DaqMonitor, DaqSample, DaqStream};
 pub use port::{LowLatency, open_port};
 pub use session::{DaqDevice, DaqSettings, ExpectedDevice};
 

@@ -36,8 +36,7 @@ pub struct TimedCommand {
 /// A drive in cyclic operation.
 pub struct DriveStream {
     commands: HeapProd<TimedCommand>,
-    shared: Arc<Shared>,
-    counts_per_m: f64,
+    monitor: DriveMonitor,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -67,7 +66,8 @@ impl ReadyDrive {
                 cycle.run();
             })
             .map_err(DriveError::Thread)?;
-        Ok(DriveStream { commands: producer, shared, counts_per_m, thread: Some(thread) })
+        let monitor = DriveMonitor { shared, counts_per_m };
+        Ok(DriveStream { commands: producer, monitor, thread: Some(thread) })
     }
 }
 
@@ -80,9 +80,43 @@ impl DriveStream {
 
     /// Sets what is wanted of the drive; never waits.
     pub fn wish(&self, wish: Wish) {
-        self.shared.wish.store(wish as u8, Ordering::Release);
+        self.monitor.shared.wish.store(wish as u8, Ordering::Release);
     }
 
+    /// Where the drive stands.
+    pub fn phase(&self) -> Phase {
+        self.monitor.phase()
+    }
+
+    /// The first fault, if any.
+    pub fn fault(&self) -> Option<DriveFault> {
+        self.monitor.fault()
+    }
+
+    /// Position that the drive reports, m.
+    pub fn position_m(&self) -> f64 {
+        self.monitor.position_m()
+    }
+
+    /// Counters.
+    pub fn counters(&self) -> DriveCounters {
+        self.monitor.counters()
+    }
+
+    /// A second pair of eyes, for another thread.
+    pub fn monitor(&self) -> DriveMonitor {
+        self.monitor.clone()
+    }
+}
+
+/// Tells how the drive does, from any thread, also after the stream is gone.
+#[derive(Clone, Debug)]
+pub struct DriveMonitor {
+    shared: Arc<Shared>,
+    counts_per_m: f64,
+}
+
+impl DriveMonitor {
     /// Where the drive stands.
     pub fn phase(&self) -> Phase {
         self.shared.phase()
@@ -111,7 +145,7 @@ impl DriveStream {
 
 impl Drop for DriveStream {
     fn drop(&mut self) {
-        self.shared.stop.store(true, Ordering::Release);
+        self.monitor.shared.stop.store(true, Ordering::Release);
         if let Some(thread) = self.thread.take() {
             // A panic on the link thread has been printed by the runtime; the drive stops by its time-outs.
             let _ = thread.join();
@@ -300,7 +334,9 @@ impl Cycle {
             };
         };
         let ahead_ns = deadline_ns as f64 - command.at_ns as f64;
-        if ahead_ns > self.settings().command_stale.as_nanos() as f64 {
+        // A table that was told to rest needs no fresh commands: nobody dies between two runs.
+        let rests = command.velocity_m_s == 0.0 && command.acceleration_m_s2 == 0.0;
+        if !rests && ahead_ns > self.settings().command_stale.as_nanos() as f64 {
             self.shared.latch(DriveFault::CommandsStale);
         }
         let t = ahead_ns * 1e-9;

@@ -11,7 +11,7 @@ mod setup;
 mod status;
 
 pub use bus::{BusEvent, CanBus};
-pub use cyclic::{DriveStream, TimedCommand};
+pub use cyclic::{DriveMonitor, DriveStream, TimedCommand};
 pub use sequencer::{Sequencer, Wish};
 pub use setup::{ReadyDrive, prepare};
 pub use status::{DriveCounters, DriveFault, Phase};
