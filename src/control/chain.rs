@@ -2,7 +2,7 @@
 //! steady-state peaks of each step, the running difference of the two. Called by the control step with
 //! every sample; the same chain serves replay, so that a record gives the same numbers again.
 
-use super::event::{ModelError, StepSummary};
+use super::event::{Nrmse, StepSummary};
 use crate::model::Response;
 use crate::signal::{BandPass, CyclePlace, FilterBank, STEADY_CYCLES, StepAnalyzer, StepResult};
 use crate::stream::Channels;
@@ -106,13 +106,13 @@ impl Chain {
     }
 
     /// How far the onboard model is off over all counted cycles so far.
-    pub fn error(&self) -> ModelError {
-        ModelError { nrmse_a: self.whole_a.nrmse(), nrmse_d: self.whole_d.nrmse() }
+    pub fn error(&self) -> Nrmse {
+        Nrmse { nrmse_a: self.whole_a.nrmse(), nrmse_d: self.whole_d.nrmse() }
     }
 
     /// How far the onboard model is off at the moment.
-    pub fn live_error(&self) -> ModelError {
-        ModelError { nrmse_a: self.live_a.nrmse(), nrmse_d: self.live_d.nrmse() }
+    pub fn live_error(&self) -> Nrmse {
+        Nrmse { nrmse_a: self.live_a.nrmse(), nrmse_d: self.live_d.nrmse() }
     }
 
     /// Closes the sums of a step.

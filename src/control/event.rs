@@ -54,7 +54,7 @@ impl From<Direction> for StepDirection {
 /// How far the onboard model is from the measurement: root-mean-square difference over the standard
 /// deviation measured, both after the band-pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct ModelError {
+pub struct Nrmse {
     /// Of the absolute acceleration of the mass.
     pub nrmse_a: f64,
     /// Of the relative displacement.
@@ -118,14 +118,14 @@ pub enum Event {
         /// How.
         ending: Ending,
         /// Onboard model against measurement over all counted cycles.
-        error: ModelError,
+        error: Nrmse,
     },
     /// How far the onboard model is off at the moment; shown, not recorded.
     Live {
         /// Cycle.
         cycle: u64,
         /// Running error.
-        error: ModelError,
+        error: Nrmse,
     },
 }
 

@@ -11,6 +11,6 @@ pub mod timing;
 
 pub use chain::{Chain, Conditioned};
 pub use clock::{Clock, Tick, VirtualClock, WallClock};
-pub use event::{Ending, Event, ModelError, StepDirection, StepSummary};
+pub use event::{Ending, Event, Nrmse, StepDirection, StepSummary};
 pub use step::{Controller, Parts, Request};
 pub use timing::{Percentiles, Phase, StepTimes, Timing, TimingReport};

@@ -3,7 +3,7 @@
 //! daemon.
 
 use super::clock::{Clock, VirtualClock, WallClock};
-use super::event::{Ending, Event, ModelError, StepSummary};
+use super::event::{Ending, Event, Nrmse, StepSummary};
 use super::step::{Controller, Parts, Request};
 use super::thread::{RealTime, release_memory, set_up};
 use super::timing::TimingReport;
@@ -93,7 +93,7 @@ pub struct Finished {
     /// Results of the steps.
     pub steps: Vec<StepSummary>,
     /// Onboard model against measurement over all counted cycles.
-    pub model_error: ModelError,
+    pub model_error: Nrmse,
     /// Timing of the control thread.
     pub timing: TimingReport,
 }

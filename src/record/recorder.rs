@@ -3,18 +3,16 @@
 //! DAQ that skipped numbers, a disk that refuses.
 
 use super::folder::{LossReport, RunError, RunFolder, io};
-use super::samples::{CHUNK_ROWS, SampleWriter};
-use crate::control::event::{Ending, Event, ModelError, StepSummary};
+use super::samples::{SampleWriter, chunk_rows};
+use crate::control::event::{Ending, Event, Nrmse, StepSummary};
 use crate::stream::{RecorderEnd, Row};
 use crossbeam::channel::Sender;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::time::{Duration, Instant};
 
-/// Rows that are written together at least, unless the run has ended: a quarter of a second.
-const BLOCK_ROWS: usize = 512;
-/// Longest that rows wait for a full block, which bounds what a killed process loses.
-const LONGEST_WAIT: Duration = Duration::from_millis(250);
+/// Chunks that are taken from the ring together at most.
+const MOST_CHUNKS: usize = 16;
 /// How often written rows are forced to the disk, which bounds what a power cut loses.
 const SYNC_EVERY: Duration = Duration::from_secs(1);
 /// How often the rings are looked into while they are empty; the control thread wakes nobody.
@@ -45,7 +43,7 @@ pub struct Recorded {
     /// How the control thread ended the run, if it said so.
     pub ending: Option<Ending>,
     /// Onboard model against measurement over all counted cycles.
-    pub model_error: ModelError,
+    pub model_error: Nrmse,
     /// First error in writing.
     pub error: Option<String>,
 }
@@ -54,6 +52,7 @@ struct Recorder<'a> {
     end: RecorderEnd<Event>,
     notices: &'a Sender<Notice>,
     samples: SampleWriter,
+    chunk_rows: usize,
     events: BufWriter<File>,
     steps: BufWriter<File>,
     integrity: BufWriter<File>,
@@ -105,7 +104,8 @@ pub fn record(
         events: create(folder.events())?,
         steps: create(folder.steps())?,
         integrity: create(folder.integrity())?,
-        rows: Vec::with_capacity(4 * CHUNK_ROWS),
+        chunk_rows: chunk_rows(sample_rate_hz),
+        rows: Vec::with_capacity(MOST_CHUNKS * chunk_rows(sample_rate_hz)),
         end,
         notices,
         last_sequence: None,
@@ -120,17 +120,15 @@ pub fn record(
 
 impl Recorder<'_> {
     fn run(&mut self) {
-        let (mut written, mut synced) = (Instant::now(), Instant::now());
+        let mut synced = Instant::now();
         loop {
             // Asked first: what was published before the end was let go is then seen below.
             let closed = self.end.closed();
             let taken = self.end.take_rows(&mut self.rows);
             self.take_events();
-            let due = self.rows.len() >= BLOCK_ROWS || written.elapsed() >= LONGEST_WAIT || closed;
-            if due && !self.rows.is_empty() {
-                self.write_rows();
-                written = Instant::now();
-            }
+            // Whole chunks only, a quarter of a second each, which is what a killed process may lose.
+            let whole = self.rows.len() - self.rows.len() % self.chunk_rows;
+            self.write_rows(if closed && taken == 0 { self.rows.len() } else { whole });
             if synced.elapsed() >= SYNC_EVERY {
                 let outcome = self.samples.sync().map_err(|error| error.to_string());
                 self.note(outcome);
@@ -156,14 +154,19 @@ impl Recorder<'_> {
         }
     }
 
-    fn write_rows(&mut self) {
-        let rows = std::mem::take(&mut self.rows);
-        for row in &rows {
+    /// Writes the first `count` of the rows that wait.
+    fn write_rows(&mut self, count: usize) {
+        if count == 0 {
+            return;
+        }
+        let mut waiting = std::mem::take(&mut self.rows);
+        let rows = &waiting[..count];
+        for row in rows {
             self.watch_sequence(row);
         }
         let integrity = &mut self.integrity;
         let mut linked = Ok(());
-        let appended = self.samples.append(&rows, |count, hash| {
+        let appended = self.samples.append(rows, |count, hash| {
             linked = writeln!(integrity, "{count} {hash}").and_then(|()| integrity.flush());
         });
         if appended.is_err() {
@@ -174,8 +177,8 @@ impl Recorder<'_> {
         if let Some(last) = rows.last() {
             let _ = self.notices.try_send(Notice::Row(*last));
         }
-        self.rows = rows;
-        self.rows.clear();
+        waiting.drain(..count);
+        self.rows = waiting;
     }
 
     /// Finds jumps in the numbers and says what they are: rows the ring dropped, or samples that the DAQ

@@ -14,8 +14,14 @@ use std::path::{Path, PathBuf};
 pub const DATASET: &str = "samples";
 /// Bytes of one row.
 pub const ROW_BYTES: usize = 112;
-/// Rows of one chunk of the file, and of one link of the hash chain.
-pub const CHUNK_ROWS: usize = 2048;
+/// Rows of one link of the hash chain.
+pub const LINK_ROWS: usize = 2048;
+
+/// Rows of one chunk of the file, a quarter of a second of them. Writing whole chunks only keeps the file
+/// compact: a chunk that grows is written anew elsewhere.
+pub fn chunk_rows(sample_rate_hz: f64) -> usize {
+    ((0.25 * sample_rate_hz) as usize).clamp(16, 8192)
+}
 
 /// Why a sample file could not be written or read.
 #[derive(Debug, thiserror::Error)]
@@ -121,7 +127,7 @@ pub fn decode(row: &[u8]) -> Row {
     }
 }
 
-/// A hash over the rows written, with a link of the chain at every full chunk: the hash of everything
+/// A hash over the rows written, with a link of the chain every [`LINK_ROWS`] rows: the hash of everything
 /// up to there, so that any prefix can be verified.
 #[derive(Clone, Default)]
 pub struct RowHash {
@@ -130,14 +136,14 @@ pub struct RowHash {
 }
 
 impl RowHash {
-    /// Takes rows in; calls `link` with the number of rows and the hash at each full chunk.
+    /// Takes rows in; calls `link` with the number of rows and the hash at each link.
     pub fn update(&mut self, mut rows: &[u8], mut link: impl FnMut(usize, String)) {
         while !rows.is_empty() {
-            let missing = (CHUNK_ROWS - self.rows % CHUNK_ROWS) * ROW_BYTES;
+            let missing = (LINK_ROWS - self.rows % LINK_ROWS) * ROW_BYTES;
             let (now, rest) = rows.split_at(missing.min(rows.len()));
             self.hasher.update(now);
             self.rows += now.len() / ROW_BYTES;
-            if self.rows.is_multiple_of(CHUNK_ROWS) {
+            if self.rows.is_multiple_of(LINK_ROWS) {
                 link(self.rows, self.hex());
             }
             rows = rest;
@@ -201,7 +207,7 @@ impl SampleWriter {
             .with_compound_data(layout, Vec::new(), 0)
             .with_shape(&[0])
             .with_maxshape(&[MaxExtent::Unlimited])
-            .with_chunks(&[CHUNK_ROWS as u64])
+            .with_chunks(&[chunk_rows(sample_rate_hz) as u64])
             .set_attr("sample_rate_hz", AttrValue::F64(sample_rate_hz));
         builder.write(path).map_err(wrap(path))?;
         // Writes reach the system at once, which is what survives a killed process; `sync` is called
@@ -214,7 +220,7 @@ impl SampleWriter {
             sample_rate_hz,
             file,
             dataset,
-            block: Vec::with_capacity(CHUNK_ROWS * ROW_BYTES),
+            block: Vec::with_capacity(chunk_rows(sample_rate_hz) * ROW_BYTES),
             hash: RowHash::default(),
             rows: 0,
         })

@@ -17,6 +17,10 @@ pub struct RigSpec {
     /// Samples and commands a second.
     #[serde(default = "default_sample_rate_hz")]
     pub sample_rate_hz: f64,
+    /// Model, by name or path, of what really stands on the simulated table; without it the onboard
+    /// model. It may carry effects that the onboard model lacks.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub specimen: Option<String>,
     /// Peak jerk that a command may ask for, m/s3.
     #[serde(default = "default_jerk_limit_m_s3")]
     pub jerk_limit_m_s3: f64,
@@ -90,6 +94,7 @@ impl Default for RigSpec {
         Self {
             name: "simulated".to_owned(),
             sample_rate_hz: default_sample_rate_hz(),
+            specimen: None,
             jerk_limit_m_s3: default_jerk_limit_m_s3(),
             table: TableSpec::default(),
             sensors: SensorSpec::default(),

@@ -29,6 +29,14 @@ impl Default for Depths {
     }
 }
 
+impl Depths {
+    /// The usual depths for a sampling rate, Hz: the record ring holds 8 s, the live ring 1 s.
+    pub fn for_rate(sample_rate_hz: f64) -> Self {
+        let second = (sample_rate_hz.ceil() as usize).max(256);
+        Self { record: 8 * second, live: second, ..Self::default() }
+    }
+}
+
 /// What was dropped, by ring; shared by all ends, written by the producers only.
 #[derive(Debug, Default)]
 pub struct Losses {
