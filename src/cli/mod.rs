@@ -2,6 +2,12 @@
 //!
 //! Exit codes: 0 done, 1 failed, 2 bad usage or configuration, 3 aborted by safety.
 
+pub mod doctor;
+pub mod recover;
+pub mod replay;
+pub mod run;
+pub mod runs;
+
 use clap::Parser;
 use std::process::ExitCode;
 
@@ -15,7 +21,18 @@ struct Cli {
 
 /// What can be asked for; a variant a file.
 #[derive(clap::Subcommand)]
-enum Command {}
+enum Command {
+    /// Drive a sweep on the table, record it, compare it with the onboard model.
+    Run(run::Args),
+    /// List recorded runs, or check one.
+    Runs(runs::Args),
+    /// Close an interrupted run with what is there.
+    Recover(recover::Args),
+    /// Check what real-time operation needs on this machine.
+    Doctor(doctor::Args),
+    /// Play a recorded run through the whole chain again.
+    Replay(replay::Args),
+}
 
 /// How a subcommand ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,8 +67,13 @@ impl CliError {
 /// Runs the command line of this process.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    let result: Result<Outcome, CliError> = match cli.command {};
-    #[allow(unreachable_code)]
+    let result = match cli.command {
+        Command::Run(args) => run::execute(args),
+        Command::Runs(args) => runs::execute(args),
+        Command::Recover(args) => recover::execute(args),
+        Command::Doctor(args) => doctor::execute(args),
+        Command::Replay(args) => replay::execute(args),
+    };
     match result {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::Aborted) => ExitCode::from(3),

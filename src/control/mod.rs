@@ -3,8 +3,10 @@
 pub mod chain;
 pub mod clock;
 pub mod event;
+mod plain;
 mod reference;
 pub mod session;
+pub mod setup;
 pub mod step;
 pub mod thread;
 pub mod timing;

@@ -159,6 +159,7 @@ impl Controller {
         for _ in 0..tick.periods {
             self.rig.advance();
         }
+        self.lap(Phase::Simulate);
     }
 
     /// Takes the oldest sample that waits.

@@ -16,6 +16,8 @@ const DIGITS: u8 = 3;
 pub enum Phase {
     /// Between the deadline and the step: the scheduler's part.
     WakeUp,
+    /// Letting a simulated rig follow; nothing with a real one.
+    Simulate,
     /// Taking what the DAQ delivered.
     Acquire,
     /// Filters and demodulation.
@@ -34,8 +36,9 @@ pub enum Phase {
 
 impl Phase {
     /// All phases in order.
-    pub const ALL: [Phase; 8] = [
+    pub const ALL: [Phase; 9] = [
         Phase::WakeUp,
+        Phase::Simulate,
         Phase::Acquire,
         Phase::Condition,
         Phase::Predict,
@@ -49,6 +52,7 @@ impl Phase {
     pub fn name(self) -> &'static str {
         match self {
             Phase::WakeUp => "wake-up",
+            Phase::Simulate => "simulate",
             Phase::Acquire => "acquire",
             Phase::Condition => "condition",
             Phase::Predict => "predict",
@@ -64,7 +68,7 @@ impl Phase {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StepTimes {
     /// Time of each phase, ns; that of [`Phase::WakeUp`] is the latency.
-    pub phase_ns: [u64; 8],
+    pub phase_ns: [u64; 9],
 }
 
 impl StepTimes {
@@ -73,14 +77,14 @@ impl StepTimes {
         self.phase_ns[phase as usize] += nanoseconds;
     }
 
-    /// Time of the step itself, without the wake-up, ns.
+    /// Time of the step itself, without the wake-up and the simulation of the rig, ns.
     pub fn step_ns(&self) -> u64 {
-        self.phase_ns[1..].iter().sum()
+        self.phase_ns[2..].iter().sum()
     }
 
     /// The phase that took longest, the wake-up left out.
     pub fn longest(&self) -> Phase {
-        let mut longest = Phase::Acquire;
+        let mut longest = Phase::Simulate;
         for phase in &Phase::ALL[1..] {
             if self.phase_ns[*phase as usize] > self.phase_ns[longest as usize] {
                 longest = *phase;
@@ -96,7 +100,7 @@ pub struct Timing {
     latency: Histogram<u64>,
     period_error: Histogram<u64>,
     step: Histogram<u64>,
-    phases: [Histogram<u64>; 8],
+    phases: [Histogram<u64>; 9],
     slips: u64,
     skipped_periods: u64,
 }

@@ -2,8 +2,11 @@
 
 pub mod data;
 pub mod folder;
+pub mod read;
 pub mod recorder;
+pub mod recover;
 pub mod samples;
 
 pub use data::{Kind, Record};
 pub use folder::{LossReport, Manifest, RunError, RunFolder, RunState};
+pub use read::read_run;

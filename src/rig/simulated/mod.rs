@@ -182,7 +182,7 @@ pub fn specimen_step_s(spec: &SimulatedSpec, sample_rate_hz: f64) -> f64 {
 /// that has to be waited for, and the anti-aliasing filter (`sqrt(2) / w` of a second-order
 /// Butterworth at low frequency). The loop itself adds nothing: feed-forward is exact there, save
 /// the lag of the force, which the position loop turns into less than a tenth of a sample.
-fn chain_delay_s(spec: &SimulatedSpec, sample_rate_hz: f64) -> f64 {
+pub fn chain_delay_s(spec: &SimulatedSpec, sample_rate_hz: f64) -> f64 {
     let corner_rad_s = std::f64::consts::TAU * spec.sensors.anti_aliasing * sample_rate_hz;
     f64::from(spec.table.command_delay_samples) / sample_rate_hz + std::f64::consts::SQRT_2 / corner_rad_s
 }

@@ -1,0 +1,218 @@
+//! `shaketable run`: drives a sweep on the rig, shows it, leaves a run folder.
+
+mod show;
+
+use super::{CliError, Outcome};
+use crate::config::builtin::find;
+use crate::config::{Case, ConfigError};
+use crate::control::session::{self, Finished, Pace};
+use crate::control::setup::{Setup, SetupError, model_of_case};
+use crate::control::{Ending, Nrmse, StepSummary, TimingReport};
+use crate::model::ModelSpec;
+use crate::record::RunFolder;
+use crate::rig::RigSpec;
+use crate::sweep::SweepSpec;
+use std::path::PathBuf;
+
+/// Drive a sweep on the table and record it.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Rig, by name or file.
+    #[arg(long, default_value = "simulated")]
+    rig: String,
+    /// Sweep, by name or file.
+    #[arg(long, default_value = "andreaus-2020")]
+    sweep: String,
+    /// Onboard model, by name or file; without it that of the case.
+    #[arg(long)]
+    model: Option<String>,
+    /// Case of the paper: bumper, gap and table acceleration in g, as in B1-G2-0.05.
+    #[arg(long, default_value = "B1-G2-0.05")]
+    case: Case,
+    /// Peak table acceleration in g, in place of the case's.
+    #[arg(long)]
+    ag: Option<f64>,
+    /// What really stands on the simulated table, by name or file; without it the onboard model.
+    #[arg(long)]
+    specimen: Option<String>,
+    /// Only the steps within this range of frequencies in Hz, as in 2.0..3.0.
+    #[arg(long, value_parser = parse_range)]
+    steps: Option<(f64, f64)>,
+    /// Seed of the simulated rig's noise; the same seed gives the same samples.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Run by the clock on the wall instead of in virtual time.
+    #[arg(long)]
+    real_time: bool,
+    /// With --real-time: refuse to run when the real-time set-up is not complete.
+    #[arg(long, requires = "real_time")]
+    require_realtime: bool,
+    /// With --real-time: CPU to pin the control thread to; without it the last one.
+    #[arg(long, requires = "real_time")]
+    cpu: Option<usize>,
+    /// Show what the sweep asks of the table, and do not move it.
+    #[arg(long)]
+    preview: bool,
+    /// Folder below which the run folder is made.
+    #[arg(long, default_value = "runs")]
+    out: PathBuf,
+    /// Name of the run; without it that of the case or the model.
+    #[arg(long)]
+    name: Option<String>,
+    /// Print one JSON object on standard output, everything else on standard error.
+    #[arg(long)]
+    json: bool,
+}
+
+/// A range of frequencies, `2.0..3.0`, Hz.
+fn parse_range(text: &str) -> Result<(f64, f64), String> {
+    let wrong = || format!("`{text}` is no range of frequencies; write 2.0..3.0 (Hz)");
+    let (low, high) = text.split_once("..").ok_or_else(wrong)?;
+    let low: f64 = low.trim().parse().map_err(|_| wrong())?;
+    let high: f64 = high.trim_start_matches('=').trim().parse().map_err(|_| wrong())?;
+    if low.is_finite() && high.is_finite() && 0.0 < low && low <= high {
+        Ok((low, high))
+    } else {
+        Err(wrong())
+    }
+}
+
+/// The object that `--json` prints.
+#[derive(Debug, serde::Serialize)]
+struct Report<'a> {
+    run_dir: String,
+    outcome: Ending,
+    cause: Option<&'a str>,
+    clean: bool,
+    samples: u64,
+    lost_samples: u64,
+    slips: u64,
+    wall_s: f64,
+    samples_sha256: Option<&'a str>,
+    real_time: Option<String>,
+    steps: &'a [StepSummary],
+    error: Nrmse,
+    timing: &'a TimingReport,
+}
+
+/// Runs the subcommand.
+///
+/// # Errors
+/// Bad configuration, a sweep beyond the table, a rig or a disk that fails.
+pub fn execute(args: Args) -> Result<Outcome, CliError> {
+    let setup = setup(&args)?;
+    let preview = setup.preview().map_err(refused)?;
+    if args.preview {
+        return show::preview(&preview, args.json);
+    }
+    let cpu = args.cpu.or_else(|| std::thread::available_parallelism().ok().map(|n| n.get() - 1));
+    let pace = match args.real_time {
+        true => Pace::Wall { cpu, require_realtime: args.require_realtime },
+        false => Pace::Virtual,
+    };
+    let (plan, _faults) = setup.plan(&args.out, pace).map_err(refused)?;
+    let started = std::time::Instant::now();
+    let session = session::start(plan).map_err(CliError::failed)?;
+    if let Some(state) = &session.manifest().real_time {
+        eprintln!("{}", state.line());
+    }
+    let mut progress = show::Progress::new(&setup.schedule().map_err(refused)?, setup.rig.sample_rate_hz);
+    let finished = session.wait(|notice| progress.notice(notice)).map_err(CliError::failed)?;
+    progress.finish();
+    write_report(&finished.folder);
+    let wall_s = started.elapsed().as_secs_f64();
+    if args.json {
+        print_json(&finished, wall_s)?;
+    } else {
+        show::summary(&setup, &finished, wall_s);
+    }
+    match finished.ending {
+        Ending::Done | Ending::Stopped => Ok(Outcome::Done),
+        Ending::Aborted => Ok(Outcome::Aborted),
+        Ending::Failed | Ending::Interrupted => {
+            Err(CliError::failed(finished.manifest.cause.as_deref().unwrap_or("the run failed")))
+        }
+    }
+}
+
+/// Reads every configuration that the arguments name.
+fn setup(args: &Args) -> Result<Setup, CliError> {
+    let usage = |error: ConfigError| CliError::Usage(error.into());
+    let rig: RigSpec = find("rigs", &args.rig).and_then(|source| source.parse()).map_err(usage)?;
+    let mut sweep: SweepSpec =
+        find("sweeps", &args.sweep).and_then(|source| source.parse()).map_err(usage)?;
+    let mut case = args.case;
+    if let Some(ag) = args.ag {
+        if !(1e-4..=2.0).contains(&ag) {
+            return Err(CliError::usage(format!("--ag {ag} g; allowed: 0.0001 to 2 g")));
+        }
+        case.acceleration_g = ag;
+    }
+    sweep.acceleration_g = case.acceleration_g;
+    if let Some((low, high)) = args.steps {
+        sweep = sweep.restricted(low, high).map_err(CliError::usage)?;
+    }
+    let model = match &args.model {
+        Some(name) => read_model(name)?,
+        None => model_of_case(&case),
+    };
+    let specimen = match args.specimen.as_ref().or(rig.specimen.as_ref()) {
+        Some(name) => read_model(name)?,
+        None => model.clone(),
+    };
+    let named_case = args.model.is_none().then_some(case);
+    let name = args.name.clone().unwrap_or_else(|| match &named_case {
+        Some(case) => case.to_string(),
+        None => model.name.clone(),
+    });
+    Ok(Setup { rig, sweep, model, specimen, case: named_case, seed: args.seed, name })
+}
+
+/// Reads a model by name or path.
+pub(super) fn read_model(name: &str) -> Result<ModelSpec, CliError> {
+    let source = find("models", name).map_err(|error| CliError::Usage(error.into()))?;
+    toml::from_str(&source.text).map_err(|error| CliError::usage(format!("{}: {error}", source.origin)))
+}
+
+/// Writes the report of a run; a report that fails is told and does not undo the run.
+pub(super) fn write_report(_folder: &RunFolder) {}
+
+/// A refused configuration is a usage error.
+fn refused(error: SetupError) -> CliError {
+    CliError::usage(error)
+}
+
+fn print_json(finished: &Finished, wall_s: f64) -> Result<(), CliError> {
+    let manifest = &finished.manifest;
+    let report = Report {
+        run_dir: finished.folder.path().display().to_string(),
+        outcome: finished.ending,
+        cause: manifest.cause.as_deref(),
+        clean: manifest.clean,
+        samples: manifest.samples,
+        lost_samples: manifest.lost.samples,
+        slips: finished.timing.slips,
+        wall_s,
+        samples_sha256: manifest.samples_sha256.as_deref(),
+        real_time: manifest.real_time.as_ref().map(|state| state.line()),
+        steps: &finished.steps,
+        error: finished.model_error,
+        timing: &finished.timing,
+    };
+    println!("{}", serde_json::to_string(&report).map_err(CliError::failed)?);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_are_read_or_refused() {
+        assert_eq!(parse_range("2.0..3.0"), Ok((2.0, 3.0)));
+        assert_eq!(parse_range("0.5..=5"), Ok((0.5, 5.0)));
+        for wrong in ["2.0", "3..2", "a..b", "..", "-1..2", "1..inf"] {
+            assert!(parse_range(wrong).is_err(), "{wrong}");
+        }
+    }
+}

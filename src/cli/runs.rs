@@ -1,0 +1,99 @@
+//! `shaketable runs`: lists the run folders there are, shows one, or checks its hash chain.
+
+use super::{CliError, Outcome};
+use crate::record::folder::list;
+use crate::record::recover::verify;
+use crate::record::{RunFolder, RunState};
+use std::path::PathBuf;
+
+/// List recorded runs, or check one.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    what: Option<What>,
+    /// Folder in which the run folders are.
+    #[arg(long, default_value = "runs", global = true)]
+    out: PathBuf,
+    /// Print one JSON object on standard output.
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum What {
+    /// List the runs (the default).
+    List,
+    /// Check the samples of a run against its hash chain.
+    Verify {
+        /// Run folder.
+        run: PathBuf,
+    },
+}
+
+/// Runs the subcommand.
+///
+/// # Errors
+/// A folder that cannot be read, or samples that differ from their hashes.
+pub fn execute(args: Args) -> Result<Outcome, CliError> {
+    match &args.what {
+        None | Some(What::List) => list_runs(&args),
+        Some(What::Verify { run }) => verify_run(run, args.json),
+    }
+}
+
+fn list_runs(args: &Args) -> Result<Outcome, CliError> {
+    let runs = list(&args.out).map_err(CliError::failed)?;
+    if args.json {
+        let entries: Vec<_> = runs
+            .iter()
+            .map(|(path, read)| match read {
+                Ok((manifest, state)) => serde_json::json!({
+                    "run_dir": path.display().to_string(), "name": manifest.name, "state": state,
+                    "clean": manifest.clean, "started_utc": manifest.started_utc,
+                    "samples": manifest.samples, "lost_samples": manifest.lost.samples, "case": manifest.case,
+                }),
+                Err(error) => serde_json::json!({
+                    "run_dir": path.display().to_string(), "unreadable": error.to_string(),
+                }),
+            })
+            .collect();
+        println!("{}", serde_json::json!({ "runs": entries }));
+        return Ok(Outcome::Done);
+    }
+    println!("{:<25} {:<12} {:>9} {:>6}  {:<16} folder", "started (UTC)", "state", "samples", "lost", "name");
+    for (path, read) in &runs {
+        match read {
+            Ok((manifest, state)) => {
+                let mark = if *state == RunState::Done && !manifest.clean { " (not clean)" } else { "" };
+                println!(
+                    "{:<25} {:<12} {:>9} {:>6}  {:<16} {}{mark}",
+                    manifest.started_utc,
+                    state.name(),
+                    manifest.samples,
+                    manifest.lost.samples,
+                    manifest.name,
+                    path.display()
+                );
+            }
+            Err(error) => println!("{:<25} {:<12} {error}", "", "unreadable"),
+        }
+    }
+    Ok(Outcome::Done)
+}
+
+fn verify_run(run: &std::path::Path, json: bool) -> Result<Outcome, CliError> {
+    let folder = RunFolder::open(run).map_err(CliError::usage)?;
+    let (good, rows) = verify(&folder).map_err(CliError::failed)?;
+    if json {
+        println!("{}", serde_json::json!({ "rows": rows, "rows_verified": good, "intact": good == rows }));
+    } else if good == rows {
+        println!("{rows} rows agree with their hashes");
+    }
+    if good == rows {
+        return Ok(Outcome::Done);
+    }
+    Err(CliError::failed(format!(
+        "{}: only the first {good} of {rows} rows agree with their hashes",
+        run.display()
+    )))
+}

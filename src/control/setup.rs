@@ -1,0 +1,199 @@
+//! From configurations to a run: checks that the sweep fits the rig, builds specimen, onboard model and
+//! rig, and writes down what was asked. Used by the command line, campaigns and the daemon.
+
+use super::plain::{self, ModelError};
+use super::session::{Pace, Plan};
+use crate::config::Case;
+use crate::model::{ModelSpec, Specimen};
+use crate::record::Manifest;
+use crate::rig::RigSpec;
+use crate::rig::replay::ReplayRig;
+use crate::rig::simulated::{FaultSwitches, SimulatedRig, chain_delay_s, specimen_step_s};
+use crate::stream::{Depths, Sample};
+use crate::sweep::{Generator, Preview, Schedule, SweepError, SweepSpec, Transition};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::path::Path;
+
+/// Everything that defines a run on the simulated rig.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    /// Table, drive, instruments.
+    pub rig: RigSpec,
+    /// The command.
+    pub sweep: SweepSpec,
+    /// The onboard model.
+    pub model: ModelSpec,
+    /// What really stands on the simulated table; it may carry effects that the onboard model lacks.
+    pub specimen: ModelSpec,
+    /// Case of the paper's Table 1, if one was named.
+    pub case: Option<Case>,
+    /// Seed of noise and faults.
+    pub seed: u64,
+    /// Name of the run.
+    pub name: String,
+}
+
+/// Why a run was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum SetupError {
+    /// The sweep itself, or the sweep on this rig.
+    #[error(transparent)]
+    Sweep(#[from] SweepError),
+    /// The onboard model or the specimen.
+    #[error("{role}: {source}")]
+    Model {
+        /// `model` or `specimen`.
+        role: &'static str,
+        /// What is wrong.
+        source: ModelError,
+    },
+    /// A command that jumps cannot be given to a table.
+    #[error("transition = \"none\" jumps in velocity and is for `simulate` only; a run needs \"smooth\"")]
+    Jumps,
+    /// A configuration could not be written down or read back.
+    #[error("{role} of the run: {reason}")]
+    Text {
+        /// Which configuration.
+        role: &'static str,
+        /// Why.
+        reason: String,
+    },
+}
+
+impl Setup {
+    /// The steps of the sweep.
+    ///
+    /// # Errors
+    /// [`SetupError`] when there are none or the command would jump.
+    pub fn schedule(&self) -> Result<Schedule, SetupError> {
+        if self.sweep.transition == Transition::None {
+            return Err(SetupError::Jumps);
+        }
+        Ok(Schedule::new(&self.sweep)?)
+    }
+
+    /// What the sweep asks of the table.
+    ///
+    /// # Errors
+    /// [`SetupError`] as of [`Setup::schedule`]; that it fits the rig is [`Preview::check`]'s to say.
+    pub fn preview(&self) -> Result<Preview, SetupError> {
+        let moving_kg = self.rig.table.platen_mass_kg + self.specimen.mass_kg;
+        Ok(Preview::new(&self.schedule()?, &self.rig.capacity(), moving_kg, self.rig.table.friction_n))
+    }
+
+    /// The onboard model, made for one step a sample period.
+    ///
+    /// # Errors
+    /// [`SetupError::Model`].
+    pub fn onboard_model(&self) -> Result<Box<dyn Specimen>, SetupError> {
+        build("model", &self.model, 1.0 / self.rig.sample_rate_hz)
+    }
+
+    /// The simulated rig with its specimen.
+    ///
+    /// # Errors
+    /// [`SetupError::Model`].
+    pub fn simulated_rig(&self) -> Result<SimulatedRig, SetupError> {
+        let (spec, rate) = (self.rig.simulated(), self.rig.sample_rate_hz);
+        let specimen = build("specimen", &self.specimen, specimen_step_s(&spec, rate))?;
+        Ok(SimulatedRig::new(&spec, specimen, self.specimen.mass_kg, rate, self.seed))
+    }
+
+    /// What `run.toml` says at the start.
+    ///
+    /// # Errors
+    /// [`SetupError::Text`].
+    pub fn manifest(&self, pace: Pace) -> Result<Manifest, SetupError> {
+        let mut manifest = Manifest::new(&self.name, self.rig.sample_rate_hz);
+        manifest.clock = match pace {
+            Pace::Virtual => "virtual".to_owned(),
+            Pace::Wall { .. } => "wall".to_owned(),
+        };
+        manifest.seed = Some(self.seed);
+        manifest.case = self.case.map(|case| case.to_string());
+        manifest.configure("rig", text("rig", &self.rig)?);
+        manifest.configure("sweep", text("sweep", &self.sweep)?);
+        manifest.configure("model", text("model", &self.model)?);
+        manifest.configure("specimen", text("specimen", &self.specimen)?);
+        Ok(manifest)
+    }
+
+    /// The setup of a recorded run, from what its `run.toml` kept.
+    ///
+    /// # Errors
+    /// [`SetupError::Text`] when a configuration is missing or unreadable.
+    pub fn of_run(manifest: &Manifest) -> Result<Self, SetupError> {
+        let model: ModelSpec = parse(manifest, "model")?;
+        Ok(Self {
+            rig: parse(manifest, "rig")?,
+            sweep: parse(manifest, "sweep")?,
+            specimen: match manifest.configuration.contains_key("specimen") {
+                true => parse(manifest, "specimen")?,
+                false => model.clone(),
+            },
+            model,
+            case: manifest.case.as_ref().and_then(|case| case.parse().ok()),
+            seed: manifest.seed.unwrap_or(0),
+            name: manifest.name.clone(),
+        })
+    }
+
+    /// Recorded samples, played back through this setup, ready to start.
+    ///
+    /// # Errors
+    /// [`SetupError`] when anything is refused.
+    pub fn replay_plan(&self, samples: Vec<Sample>, out: &Path) -> Result<Plan, SetupError> {
+        let delay_s = chain_delay_s(&self.rig.simulated(), self.rig.sample_rate_hz);
+        Ok(Plan {
+            out: out.to_owned(),
+            manifest: self.manifest(Pace::Virtual)?,
+            rig: Box::new(ReplayRig::new(samples, delay_s)),
+            generator: Generator::new(&self.schedule()?, self.rig.sample_rate_hz),
+            model: self.onboard_model()?,
+            pace: Pace::Virtual,
+            depths: Depths::for_rate(self.rig.sample_rate_hz),
+        })
+    }
+
+    /// The whole run on the simulated rig, ready to start, and the rig's fault switches.
+    ///
+    /// # Errors
+    /// [`SetupError`] when anything is refused, a sweep beyond the rig's capacity included.
+    pub fn plan(&self, out: &Path, pace: Pace) -> Result<(Plan, FaultSwitches), SetupError> {
+        self.preview()?.check()?;
+        let rig = self.simulated_rig()?;
+        let faults = rig.faults();
+        let plan = Plan {
+            out: out.to_owned(),
+            manifest: self.manifest(pace)?,
+            rig: Box::new(rig),
+            generator: Generator::new(&self.schedule()?, self.rig.sample_rate_hz),
+            model: self.onboard_model()?,
+            pace,
+            depths: Depths::for_rate(self.rig.sample_rate_hz),
+        };
+        Ok((plan, faults))
+    }
+}
+
+/// The published model of a case.
+pub fn model_of_case(case: &Case) -> ModelSpec {
+    plain::of_case(case)
+}
+
+fn build(role: &'static str, spec: &ModelSpec, step_s: f64) -> Result<Box<dyn Specimen>, SetupError> {
+    plain::build(spec, step_s).map_err(|source| SetupError::Model { role, source })
+}
+
+fn parse<T: DeserializeOwned>(manifest: &Manifest, role: &'static str) -> Result<T, SetupError> {
+    let text = manifest
+        .configuration
+        .get(role)
+        .ok_or_else(|| SetupError::Text { role, reason: "the run did not keep it".to_owned() })?;
+    toml::from_str(text).map_err(|error| SetupError::Text { role, reason: error.to_string() })
+}
+
+fn text(role: &'static str, value: &impl Serialize) -> Result<String, SetupError> {
+    toml::to_string(value).map_err(|error| SetupError::Text { role, reason: error.to_string() })
+}
