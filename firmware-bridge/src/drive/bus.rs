@@ -2,6 +2,7 @@
 
 use super::DriveError;
 use crate::canopen::Frame;
+use rustix::event::{PollFd, PollFlags, Timespec};
 use socketcan::{
     CanDataFrame, CanErrorFrame, CanFrame, CanSocket, EmbeddedFrame, Id, Socket, SocketOptions, StandardId,
 };
@@ -27,7 +28,6 @@ pub enum BusEvent {
 #[derive(Debug)]
 pub struct CanBus {
     socket: CanSocket,
-    waits: Option<Duration>,
 }
 
 impl CanBus {
@@ -52,7 +52,7 @@ impl CanBus {
 
     fn new(socket: CanSocket) -> std::io::Result<Self> {
         socket.set_nonblocking(true)?;
-        Ok(Self { socket, waits: None })
+        Ok(Self { socket })
     }
 
     /// Sends a frame at once.
@@ -81,24 +81,24 @@ impl CanBus {
     /// # Errors
     /// What the system says: the interface is gone or down.
     pub fn poll(&mut self) -> std::io::Result<Option<BusEvent>> {
-        if self.waits.take().is_some() {
-            self.socket.set_nonblocking(true)?;
-        }
         self.read()
     }
 
-    /// What arrives within `timeout` (rounded to what the system offers), or nothing.
+    /// What has arrived or arrives within `timeout`, or nothing.
     ///
     /// # Errors
     /// What the system says: the interface is gone or down.
     pub fn wait(&mut self, timeout: Duration) -> std::io::Result<Option<BusEvent>> {
-        let timeout = timeout.max(Duration::from_micros(100));
-        if self.waits != Some(timeout) {
-            self.socket.set_nonblocking(false)?;
-            self.socket.set_read_timeout(timeout)?;
-            self.waits = Some(timeout);
+        if let Some(event) = self.read()? {
+            return Ok(Some(event));
         }
-        self.read()
+        let timeout = Timespec { tv_sec: timeout.as_secs() as i64, tv_nsec: timeout.subsec_nanos().into() };
+        let mut watched = [PollFd::new(&self.socket, PollFlags::IN)];
+        match rustix::event::poll(&mut watched, Some(&timeout)) {
+            Ok(0) | Err(rustix::io::Errno::INTR) => Ok(None),
+            Ok(_) => self.read(),
+            Err(error) => Err(error.into()),
+        }
     }
 
     /// Waits for something that `pick` wants; other events are dropped.

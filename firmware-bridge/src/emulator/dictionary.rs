@@ -119,7 +119,7 @@ impl Objects {
 
 const DRIVE_OBJECTS: [(Address, u32, u8, bool); 21] = [
     (SYNC_TIMEOUT_MS, 0, 2, true),
-    (objects::ABORT_CONNECTION_OPTION, 0, 2, true),
+    (objects::ABORT_CONNECTION_OPTION, 1, 2, true),
     (objects::ERROR_CODE, 0, 2, false),
     (objects::CONTROLWORD, 0, 2, true),
     (objects::STATUSWORD, 0, 2, false),

@@ -278,7 +278,9 @@ impl DriveNode {
     fn receive_pdo(&mut self, frame: &Frame, now_ns: u64) {
         for n in 0..4_u16 {
             let objects = &self.dictionary.objects;
-            if objects.get(at(objects::RPDO_COMMUNICATION + n, 1)) != u32::from(frame.id) {
+            // Bit 31 makes it invalid, bit 30 forbids remote requests, which are not answered anyway.
+            let id = objects.get(at(objects::RPDO_COMMUNICATION + n, 1));
+            if id >> 31 != 0 || id & 0x7FF != u32::from(frame.id) {
                 continue;
             }
             let mut fields = FieldReader::new(frame.data());
@@ -393,11 +395,23 @@ impl DriveNode {
             return;
         }
         self.send(Emergency { code, register: 0x11, manufacturer: [0; 5] }.frame(self.spec.node), send);
-        // 3 is quick stop; others are not needed here and brake as a fault does.
-        self.brake(now_ns);
-        let quick_stop = self.dictionary.objects.get(objects::ABORT_CONNECTION_OPTION) == 3;
-        self.state = if quick_stop { State::QuickStopActive } else { State::FaultReactionActive };
         self.quick_stop_at_ns = Some(now_ns);
+        // CiA 402-2, object 0x6007: nothing, fault, disable voltage, quick stop.
+        match self.dictionary.objects.get(objects::ABORT_CONNECTION_OPTION) {
+            0 => self.quick_stop_at_ns = None,
+            2 => {
+                self.motion = Motion::Hold(self.actual_m);
+                self.state = State::SwitchOnDisabled;
+            }
+            3 => {
+                self.brake(now_ns);
+                self.state = State::QuickStopActive;
+            }
+            _ => {
+                self.brake(now_ns);
+                self.state = State::FaultReactionActive;
+            }
+        }
     }
 
     fn brake(&mut self, now_ns: u64) {
