@@ -30,7 +30,7 @@ pub struct Args {
     #[arg(long, default_value = "B1-G2-0.05")]
     case: Case,
     /// Peak table acceleration in g, in place of the case's.
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     ag: Option<f64>,
     /// What really stands on the simulated table, by name or file; without it the onboard model.
     #[arg(long)]
