@@ -1,0 +1,42 @@
+//! Arguments that every subcommand which opens a record shares.
+
+use super::CliError;
+use crate::record::data::{Mapping, ReadOptions};
+use crate::record::{Kind, Record};
+use std::path::PathBuf;
+
+/// A record and how to understand it.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ReadArgs {
+    /// Run folder or data file (Parquet, CSV, HDF5, MAT v7.3, UFF58)
+    pub record: PathBuf,
+    /// Column of a role: `role=column`, `role=-column` (sign turned) or `role=column:unit`, such as
+    /// `relative_displacement_m=laser:mm`; may be repeated
+    #[arg(long, value_name = "ROLE=COLUMN")]
+    pub map: Vec<Mapping>,
+    /// What was imposed and measured; guessed from the columns when left out
+    #[arg(long, value_enum)]
+    pub kind: Option<Kind>,
+    /// Sampling rate in Hz, for a file without a time column
+    #[arg(long, value_name = "HZ")]
+    pub rate: Option<f64>,
+}
+
+impl ReadArgs {
+    /// The options as the reader takes them.
+    pub fn options(&self) -> ReadOptions {
+        ReadOptions { map: self.map.clone(), kind: self.kind, sample_rate_hz: self.rate }
+    }
+
+    /// Opens the record; what was repaired goes to standard error.
+    ///
+    /// # Errors
+    /// [`CliError::Failed`] with the file and the reason.
+    pub fn open(&self) -> Result<Record, CliError> {
+        let record = Record::open(&self.record, &self.options()).map_err(CliError::failed)?;
+        for note in &record.notes {
+            eprintln!("note: {note}");
+        }
+        Ok(record)
+    }
+}
