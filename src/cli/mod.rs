@@ -3,6 +3,9 @@
 //! Exit codes: 0 done, 1 failed, 2 bad usage or configuration, 3 aborted by safety.
 
 pub mod doctor;
+pub mod export;
+pub mod import;
+pub mod reading;
 pub mod recover;
 pub mod replay;
 pub mod run;
@@ -30,6 +33,10 @@ enum Command {
     Recover(recover::Args),
     /// Check what real-time operation needs on this machine.
     Doctor(doctor::Args),
+    /// Read a foreign data file, name its channels and units, write it as a record.
+    Import(import::Args),
+    /// Write a record in the format of another tool.
+    Export(export::Args),
     /// Play a recorded run through the whole chain again.
     Replay(replay::Args),
 }
@@ -72,6 +79,8 @@ pub fn main() -> ExitCode {
         Command::Runs(args) => runs::execute(args),
         Command::Recover(args) => recover::execute(args),
         Command::Doctor(args) => doctor::execute(args),
+        Command::Import(args) => import::execute(args),
+        Command::Export(args) => export::execute(args),
         Command::Replay(args) => replay::execute(args),
     };
     match result {

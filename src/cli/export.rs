@@ -1,0 +1,63 @@
+//! `export`: a record into the file formats of other tools.
+
+use super::reading::ReadArgs;
+use super::{CliError, Outcome};
+use crate::record::data::{self, Format};
+use std::path::PathBuf;
+
+/// Write a record as Parquet, CSV, HDF5, MAT v7.3 or UFF58.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    read: ReadArgs,
+    /// File to write; its name tells the format
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Format, where the name does not tell it
+    #[arg(long, value_enum)]
+    format: Option<Format>,
+    /// Replace an existing file
+    #[arg(long)]
+    force: bool,
+    /// Print what was written as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Reads, writes, reports.
+///
+/// # Errors
+/// [`CliError::Usage`] when the format is unknown or the file exists, [`CliError::Failed`] otherwise.
+pub fn execute(args: Args) -> Result<Outcome, CliError> {
+    let format = args.format.or_else(|| Format::of_name(&args.output)).ok_or_else(|| {
+        CliError::usage(format!("{}: the name tells no format; give `--format`", args.output.display()))
+    })?;
+    if args.output.exists() && !args.force {
+        return Err(CliError::usage(format!("{} exists; `--force` replaces it", args.output.display())));
+    }
+    let record = args.read.open()?;
+    data::write(&record, &args.output, format).map_err(CliError::failed)?;
+    let channels: Vec<&str> = record.channels().map(|(role, _)| role.name()).collect();
+    if args.json {
+        let said = serde_json::json!({
+            "output": args.output,
+            "kind": record.kind,
+            "samples": record.len(),
+            "sample_rate_hz": record.sample_rate_hz,
+            "channels": channels,
+            "steps": record.step_ranges().len(),
+            "notes": record.notes,
+        });
+        println!("{said}");
+    } else {
+        println!(
+            "{}: {} samples at {} Hz, {} steps, channels {}",
+            args.output.display(),
+            record.len(),
+            record.sample_rate_hz,
+            record.step_ranges().len(),
+            channels.join(", ")
+        );
+    }
+    Ok(Outcome::Done)
+}
