@@ -226,12 +226,20 @@ fn our_master_drives_our_emulator_at_a_millisecond() {
 #[test]
 #[ignore = "needs a CAN interface: hil-tests/uml/run"]
 fn bus_off_ends_in_quick_stop_and_the_next_run_connects_again() {
-    let lab = lab(6, vec![(1.2, Fault::BusOff)]);
-    let clock = HostClock::new();
-    let mut drive = enabled(settings(6, 1), clock);
-    shake(&mut drive, clock, |drive, _| drive.fault().is_some());
-    assert_eq!(drive.fault(), Some(DriveFault::BusOff));
-    until("the drive stops", || lab.report().drive == State::QuickStopActive);
-    drop(drive);
-    prepare(bus(), settings(6, 1)).expect("the next run connects again");
+    for _ in 1..=5 {
+        let lab = lab(6, vec![(1.2, Fault::BusOff)]);
+        let clock = HostClock::new();
+        let mut drive = enabled(settings(6, 1), clock);
+        shake(&mut drive, clock, |drive, _| drive.fault().is_some());
+        if drive.fault() != Some(DriveFault::BusOff) {
+            // A stall of the machine came first.
+            assert!(drive.counters().worst_late_ns > 20_000_000, "{:?}", drive.fault());
+            continue;
+        }
+        until("the drive stops", || lab.report().drive == State::QuickStopActive);
+        drop(drive);
+        prepare(bus(), settings(6, 1)).expect("the next run connects again");
+        return;
+    }
+    panic!("this machine stood still five times within two seconds");
 }

@@ -3,6 +3,7 @@
 //! Exit codes: 0 done, 1 failed, 2 bad usage or configuration, 3 aborted by safety.
 
 pub mod doctor;
+pub mod emulate;
 pub mod export;
 pub mod import;
 pub mod reading;
@@ -37,6 +38,8 @@ enum Command {
     Import(import::Args),
     /// Write a record in the format of another tool.
     Export(export::Args),
+    /// Emulate the devices of a rig: DAQ on a pseudo terminal, drive on a CAN interface.
+    Emulate(emulate::Args),
     /// Play a recorded run through the whole chain again.
     Replay(replay::Args),
 }
@@ -81,6 +84,7 @@ pub fn main() -> ExitCode {
         Command::Doctor(args) => doctor::execute(args),
         Command::Import(args) => import::execute(args),
         Command::Export(args) => export::execute(args),
+        Command::Emulate(args) => emulate::execute(args),
         Command::Replay(args) => replay::execute(args),
     };
     match result {

@@ -3,10 +3,12 @@
 
 use super::plain::{self, ModelError};
 use super::session::{Pace, Plan};
+use super::thread::prioritise_link;
 use crate::config::Case;
 use crate::model::{ModelSpec, Specimen};
 use crate::record::Manifest;
 use crate::rig::RigSpec;
+use crate::rig::hardware::{HardwareError, HardwareMonitor, HardwareRig, HardwareSpec, Preflight};
 use crate::rig::replay::ReplayRig;
 use crate::rig::simulated::{FaultSwitches, SimulatedRig, chain_delay_s, specimen_step_s};
 use crate::stream::{Depths, Sample};
@@ -48,6 +50,9 @@ pub enum SetupError {
         /// What is wrong.
         source: ModelError,
     },
+    /// The real devices.
+    #[error(transparent)]
+    Hardware(#[from] Box<HardwareError>),
     /// A command that jumps cannot be given to a table.
     #[error("transition = \"none\" jumps in velocity and is for `simulate` only; a run needs \"smooth\"")]
     Jumps,
@@ -174,6 +179,38 @@ impl Setup {
             depths: Depths::for_rate(self.rig.sample_rate_hz),
         };
         Ok((plan, faults))
+    }
+}
+
+impl Setup {
+    /// The whole run on real devices, connected, checked and ready to start; a monitor of their links; what the check
+    /// found, which is stored with the run.
+    ///
+    /// # Errors
+    /// [`SetupError`] when anything is refused, a link fails or the check finds something.
+    pub fn hardware_plan(
+        &self,
+        hardware: &HardwareSpec,
+        out: &Path,
+        pace: Pace,
+    ) -> Result<(Plan, HardwareMonitor, Preflight), SetupError> {
+        self.preview()?.check()?;
+        let (schedule, model) = (self.schedule()?, self.onboard_model()?);
+        let mut manifest = self.manifest(pace)?;
+        let (rig, preflight) =
+            HardwareRig::open(hardware, self.rig.sample_rate_hz, Some(prioritise_link)).map_err(Box::new)?;
+        manifest.configure("preflight", text("preflight", &preflight)?);
+        let monitor = rig.monitor();
+        let plan = Plan {
+            out: out.to_owned(),
+            manifest,
+            rig: Box::new(rig),
+            generator: Generator::new(&schedule, self.rig.sample_rate_hz),
+            model,
+            pace,
+            depths: Depths::for_rate(self.rig.sample_rate_hz),
+        };
+        Ok((plan, monitor, preflight))
     }
 }
 

@@ -73,6 +73,12 @@ pub fn may_use_fifo() -> std::io::Result<()> {
         .unwrap_or_else(|_| Err(std::io::Error::other("the probing thread died")))
 }
 
+/// Puts the calling thread, which serves a link of the rig, just below the control thread. Without the right to it
+/// the link runs as any thread does, which its report of late cycles shows.
+pub fn prioritise_link() {
+    let _ = set_fifo(PRIORITY - 5);
+}
+
 /// Lets the memory go that [`set_up`] locked, so that later work does not hold its pages in memory.
 pub fn release_memory() {
     // Failing to unlock costs memory only.

@@ -47,6 +47,8 @@ pub struct DriveNode {
     quick_stop_at_ns: Option<u64>,
     silent: bool,
     trip: Option<u16>,
+    /// After a lost connection a standing enable command does not start the drive again; it must be let go first.
+    must_let_go: bool,
 }
 
 /// Times at which something was last heard or sent, ns; `None` is not watched (yet).
@@ -114,6 +116,7 @@ impl DriveNode {
             quick_stop_at_ns: None,
             silent: false,
             trip: None,
+            must_let_go: false,
             spec,
         }
     }
@@ -262,6 +265,11 @@ impl DriveNode {
             }
             return;
         }
+        if command != DriveCommand::EnableOperation {
+            self.must_let_go = false;
+        } else if self.must_let_go {
+            return;
+        }
         let before = self.state;
         self.state = transition(before, command);
         match (before, self.state) {
@@ -396,6 +404,7 @@ impl DriveNode {
         }
         self.send(Emergency { code, register: 0x11, manufacturer: [0; 5] }.frame(self.spec.node), send);
         self.quick_stop_at_ns = Some(now_ns);
+        self.must_let_go = true;
         // CiA 402-2, object 0x6007: nothing, fault, disable voltage, quick stop.
         match self.dictionary.objects.get(objects::ABORT_CONNECTION_OPTION) {
             0 => self.quick_stop_at_ns = None,

@@ -1,18 +1,20 @@
 //! `shaketable run`: drives a sweep on the rig, shows it, leaves a run folder.
 
+mod hardware;
 mod show;
 
 use super::{CliError, Outcome};
 use crate::config::builtin::find;
 use crate::config::{Case, ConfigError};
-use crate::control::session::{self, Finished, Pace};
+use crate::control::session::{self, Finished, Pace, Plan};
 use crate::control::setup::{Setup, SetupError, model_of_case};
 use crate::control::{Ending, Nrmse, StepSummary, TimingReport};
 use crate::model::ModelSpec;
 use crate::record::RunFolder;
 use crate::rig::RigSpec;
+use crate::rig::hardware::HardwareMonitor;
 use crate::sweep::SweepSpec;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Drive a sweep on the table and record it.
 #[derive(Debug, clap::Args)]
@@ -106,11 +108,12 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         return show::preview(&preview, args.json);
     }
     let cpu = args.cpu.or_else(|| std::thread::available_parallelism().ok().map(|n| n.get() - 1));
-    let pace = match args.real_time {
+    // Real devices go by the clock on the wall, whatever was asked.
+    let pace = match args.real_time || setup.rig.hardware.is_some() {
         true => Pace::Wall { cpu, require_realtime: args.require_realtime },
         false => Pace::Virtual,
     };
-    let (plan, _faults) = setup.plan(&args.out, pace).map_err(refused)?;
+    let (plan, links) = connect(&setup, &args.out, pace)?;
     let started = std::time::Instant::now();
     let session = session::start(plan).map_err(CliError::failed)?;
     if let Some(state) = &session.manifest().real_time {
@@ -119,6 +122,10 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let mut progress = show::Progress::new(&setup.schedule().map_err(refused)?, setup.rig.sample_rate_hz);
     let finished = session.wait(|notice| progress.notice(notice)).map_err(CliError::failed)?;
     progress.finish();
+    let finished = match &links {
+        Some(links) => hardware::close(links, finished)?,
+        None => finished,
+    };
     write_report(&finished.folder);
     let wall_s = started.elapsed().as_secs_f64();
     if args.json {
@@ -133,6 +140,19 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
             Err(CliError::failed(finished.manifest.cause.as_deref().unwrap_or("the run failed")))
         }
     }
+}
+
+/// The plan on the rig that was asked for; with real devices a monitor of their links.
+fn connect(setup: &Setup, out: &Path, pace: Pace) -> Result<(Plan, Option<HardwareMonitor>), CliError> {
+    let Some(devices) = &setup.rig.hardware else {
+        return Ok((setup.plan(out, pace).map_err(refused)?.0, None));
+    };
+    let (plan, links, preflight) = setup.hardware_plan(devices, out, pace).map_err(|error| match error {
+        SetupError::Hardware(_) => CliError::failed(error),
+        other => refused(other),
+    })?;
+    eprint!("{preflight}");
+    Ok((plan, Some(links)))
 }
 
 /// Reads every configuration that the arguments name.

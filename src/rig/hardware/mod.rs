@@ -2,10 +2,12 @@
 //! the simulated one. [`HardwareRig::open`] connects, checks the loop and hands over a rig at rest at the
 //! centre; from then on `read` and `write` only touch lock-free rings to the links' own threads.
 
+mod emulated;
 mod preflight;
 mod signature;
 mod spec;
 
+pub use emulated::{SimulatedPlant, lab_settings};
 pub use preflight::{ChannelCheck, Preflight, PreflightError};
 pub use signature::{Finding, Response};
 pub use spec::{DaqSpec, DriveLinkSpec, HardwareSpec, ObjectSpec, PreflightSpec};

@@ -270,9 +270,11 @@ impl Sine {
             received += 1;
             let (sin, cos) = (self.w * t).sin_cos();
             let basis = Vector3::new(sin, cos, 1.0);
-            normal += basis * basis.transpose();
+            // A Hann window: what the specimen still does at its own frequency must not leak in.
+            let weight = 1.0 - (TAU * (t - from) / (to - from)).cos();
+            normal += weight * basis * basis.transpose();
             for (sum, value) in right.iter_mut().zip(values(sample)) {
-                *sum += basis * value;
+                *sum += weight * basis * value;
             }
         }
         let solved = (10 * received > 9 * expected).then(|| normal.try_inverse()).flatten();

@@ -125,14 +125,14 @@ pub fn judge(r: &Response, tolerance: f64, longest_delay_s: f64) -> Vec<Finding>
 /// The single fault after whose repair everything fits best.
 fn explain(r: &Response, tolerance: f64) -> Finding {
     let mut wirings = Vec::new();
-    for i in 0..5 {
+    for (i, first) in NAMES.into_iter().enumerate() {
         let mut inverted = *r;
         inverted.channels[i] = -inverted.channels[i];
-        wirings.push((inverted, Finding::Inverted { channel: NAMES[i] }));
-        for j in i + 1..5 {
+        wirings.push((inverted, Finding::Inverted { channel: first }));
+        for (j, second) in NAMES.into_iter().enumerate().skip(i + 1) {
             let mut swapped = *r;
             swapped.channels.swap(i, j);
-            wirings.push((swapped, Finding::Swapped { first: NAMES[i], second: NAMES[j] }));
+            wirings.push((swapped, Finding::Swapped { first, second }));
         }
     }
     let scaled = (0..5).filter_map(|i| {
@@ -210,30 +210,30 @@ mod tests {
 
     #[test]
     fn every_single_fault_is_named() {
-        for i in 0..5 {
+        for (i, name) in NAMES.into_iter().enumerate() {
             let mut dead = sound();
             dead.channels[i] *= 1e-3;
-            assert_eq!(judge(&dead, 0.05, 0.02), [Finding::Dead { channel: NAMES[i] }]);
+            assert_eq!(judge(&dead, 0.05, 0.02), [Finding::Dead { channel: name }]);
             let mut inverted = sound();
             inverted.channels[i] = -inverted.channels[i];
-            assert_eq!(judge(&inverted, 0.05, 0.02), [Finding::Inverted { channel: NAMES[i] }]);
+            assert_eq!(judge(&inverted, 0.05, 0.02), [Finding::Inverted { channel: name }]);
             for wrong in [0.5, 2.0] {
                 let mut scaled = sound();
                 scaled.channels[i] *= wrong;
                 let [Finding::Gain { channel, gain }] = judge(&scaled, 0.05, 0.02)[..] else {
                     panic!("{i} {wrong}: {:?}", judge(&scaled, 0.05, 0.02))
                 };
-                assert_eq!(channel, NAMES[i]);
+                assert_eq!(channel, name);
                 assert!((gain / wrong - 1.0).abs() < 1e-6, "{gain}");
             }
-            for j in i + 1..5 {
+            for (j, second) in NAMES.into_iter().enumerate().skip(i + 1) {
                 let mut swapped = sound();
                 swapped.channels.swap(i, j);
                 if (i, j) == (2, 3) {
                     // Two accelerometers on one rigid mass show the same; only yaw would tell them apart.
                     assert_eq!(judge(&swapped, 0.05, 0.02), []);
                 } else {
-                    let expected = Finding::Swapped { first: NAMES[i], second: NAMES[j] };
+                    let expected = Finding::Swapped { first: name, second };
                     assert_eq!(judge(&swapped, 0.05, 0.02), [expected]);
                 }
             }
