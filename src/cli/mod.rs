@@ -2,6 +2,7 @@
 //!
 //! Exit codes: 0 done, 1 failed, 2 bad usage or configuration, 3 aborted by safety.
 
+pub mod bench;
 pub mod doctor;
 pub mod emulate;
 pub mod export;
@@ -40,6 +41,8 @@ enum Command {
     Export(export::Args),
     /// Emulate the devices of a rig: DAQ on a pseudo terminal, drive on a CAN interface.
     Emulate(emulate::Args),
+    /// Measure the control thread on this machine.
+    Bench(bench::Args),
     /// Play a recorded run through the whole chain again.
     Replay(replay::Args),
 }
@@ -85,6 +88,7 @@ pub fn main() -> ExitCode {
         Command::Import(args) => import::execute(args),
         Command::Export(args) => export::execute(args),
         Command::Emulate(args) => emulate::execute(args),
+        Command::Bench(args) => bench::execute(args),
         Command::Replay(args) => replay::execute(args),
     };
     match result {
