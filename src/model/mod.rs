@@ -3,8 +3,24 @@
 //! The simulated specimen, the onboard model, identification and diagnosis all call this module;
 //! no other one knows an equation of the specimen.
 
+mod check;
+pub mod contact;
+pub mod effects;
+mod error;
+pub mod general;
+mod keys;
+pub mod observe;
+pub mod scales;
+pub mod simulate;
 pub mod spec;
+pub mod system;
+#[cfg(test)]
+pub(crate) mod testing;
 
+pub use error::ModelError;
+pub use observe::{Observation, Observer};
+pub use scales::Scales;
+pub use simulate::{History, simulate_sampled};
 pub use spec::{BumperSpec, EffectSpec, IsolatorSpec, ModelSpec};
 
 /// What the specimen does at one sample.
@@ -39,7 +55,9 @@ pub struct Regime {
 
 /// A specimen that advances sample by sample, driven by the table acceleration.
 ///
-/// Nothing in [`Specimen::step`] allocates, locks or logs.
+/// An applied force F with the table at rest (`force` records) is the table acceleration -F/M: D is
+/// the same, and the acceleration of the mass is [`Response::mass_acceleration_m_s2`] + F/M
+/// (both sides of M D'' = F - R). Nothing in [`Specimen::step`] allocates, locks or logs.
 pub trait Specimen: Send {
     /// Puts the specimen at rest in its equilibrium.
     fn reset(&mut self);
@@ -54,4 +72,38 @@ pub trait Specimen: Send {
     /// force over the mass. A following [`Specimen::step`] starts from there, which is how a
     /// simulation is started in the middle of a record.
     fn impose(&mut self, relative_displacement_m: f64, relative_velocity_m_s: f64) -> Response;
+
+    /// States the table acceleration at the present instant (m/s2), from which the next
+    /// [`Specimen::step`] runs: 0 after a reset, held at its next value after
+    /// [`Specimen::impose`] unless stated here.
+    fn prime(&mut self, _table_acceleration_m_s2: f64) {}
+}
+
+/// How the general solver works.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Options {
+    /// Local error allowed, relative to the largest motion so far.
+    pub tolerance: f64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { tolerance: 1e-8 }
+    }
+}
+
+/// Builds the specimen of a model for a sample period, s, at rest in its equilibrium.
+///
+/// # Errors
+/// [`ModelError`] for a model that its file would be refused for, or that cannot be solved.
+pub fn build(spec: &ModelSpec, dt_s: f64) -> Result<Box<dyn Specimen>, ModelError> {
+    build_with(spec, dt_s, &Options::default())
+}
+
+/// [`build`] with a tolerance of one's own.
+///
+/// # Errors
+/// As [`build`].
+pub fn build_with(spec: &ModelSpec, dt_s: f64, options: &Options) -> Result<Box<dyn Specimen>, ModelError> {
+    general::boxed(system::System::compile(spec, dt_s)?, options)
 }

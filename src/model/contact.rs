@@ -1,0 +1,117 @@
+//! The contact law of a bumper and the relaxation of its massless tip, shared by both solvers.
+
+use super::BumperSpec;
+
+/// Force of one bumper against penetration p: F0 + Kb p (or kh p^n) + kb3 p^3 + (Cb + mu p) p'.
+///
+/// The tip is massless, so out of contact its own force is zero and it relaxes by
+/// elastic(x) + (Cb + mu x) x' = 0 (Andreaus and De Angelis 2020, equation 1).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ContactLaw {
+    /// Kb, N/m.
+    pub linear_n_m: f64,
+    /// kh, N/m^n.
+    pub hertz: f64,
+    /// n.
+    pub exponent: f64,
+    /// kb3, N/m3.
+    pub cubic_n_m3: f64,
+    /// F0, N.
+    pub preload_n: f64,
+    /// Cb, N s/m.
+    pub damping_n_s_m: f64,
+    /// mu, N s/m2.
+    pub hunt_crossley_n_s_m2: f64,
+}
+
+impl ContactLaw {
+    pub(super) fn linear(bumper: Option<&BumperSpec>) -> Self {
+        Self {
+            linear_n_m: bumper.map_or(0.0, |b| b.stiffness_n_m),
+            hertz: 0.0,
+            exponent: 1.0,
+            cubic_n_m3: 0.0,
+            preload_n: 0.0,
+            damping_n_s_m: bumper.map_or(0.0, |b| b.damping_n_s_m),
+            hunt_crossley_n_s_m2: 0.0,
+        }
+    }
+
+    /// Linear in penetration and its rate (a preload is allowed).
+    pub fn is_linear(&self) -> bool {
+        self.hertz == 0.0 && self.cubic_n_m3 == 0.0 && self.hunt_crossley_n_s_m2 == 0.0
+    }
+
+    /// Force at rest, N; odd in the nonlinear parts, so that rounding below zero does no harm.
+    pub fn elastic_n(&self, p: f64) -> f64 {
+        let mut force = self.preload_n + self.linear_n_m * p;
+        if self.hertz != 0.0 {
+            force += if self.exponent == 1.5 {
+                self.hertz * p * p.abs().sqrt()
+            } else {
+                (self.hertz * p.abs().powf(self.exponent)).copysign(p)
+            };
+        }
+        force + self.cubic_n_m3 * p * p * p
+    }
+
+    /// Coefficient of the rate of penetration, N s/m.
+    pub fn viscous_n_s_m(&self, p: f64) -> f64 {
+        self.damping_n_s_m + self.hunt_crossley_n_s_m2 * p.max(0.0)
+    }
+
+    /// Force of a bumper in contact, N; below zero it would pull, which ends the contact.
+    pub fn force_n(&self, p: f64, rate: f64) -> f64 {
+        self.elastic_n(p) + self.viscous_n_s_m(p) * rate
+    }
+
+    /// Deformation of a free tip after a while, m, from `tip` m at its beginning.
+    pub fn relaxed_m(&self, tip: f64, after_s: f64) -> f64 {
+        if tip <= 0.0 {
+            return 0.0;
+        }
+        if !self.is_linear() {
+            return self.relaxed_nonlinear_m(tip, after_s);
+        }
+        if self.damping_n_s_m == 0.0 {
+            return if self.linear_n_m > 0.0 || self.preload_n > 0.0 { 0.0 } else { tip };
+        }
+        if self.linear_n_m == 0.0 {
+            return (tip - self.preload_n / self.damping_n_s_m * after_s).max(0.0);
+        }
+        let rest = self.preload_n / self.linear_n_m;
+        ((tip + rest) * (-self.linear_n_m / self.damping_n_s_m * after_s).exp() - rest).max(0.0)
+    }
+
+    /// Rate of a free tip, m/s.
+    pub fn tip_rate_m_s(&self, tip: f64) -> f64 {
+        let viscous = self.viscous_n_s_m(tip);
+        if tip > 0.0 && viscous > 0.0 { -self.elastic_n(tip) / viscous } else { 0.0 }
+    }
+
+    /// Fourth-order steps, each a small part of the tip's own time constant.
+    fn relaxed_nonlinear_m(&self, tip: f64, after_s: f64) -> f64 {
+        if self.viscous_n_s_m(tip) == 0.0 {
+            return 0.0;
+        }
+        let (mut x, mut left) = (tip, after_s);
+        let smallest = 1e-9 * tip;
+        for _ in 0..2000 {
+            if left <= 0.0 {
+                return x;
+            }
+            let rate = |x: f64| self.tip_rate_m_s(x);
+            let k1 = rate(x);
+            let h = if k1 < 0.0 { left.min(0.05 * x / -k1) } else { left };
+            let k2 = rate(x + 0.5 * h * k1);
+            let k3 = rate(x + 0.5 * h * k2);
+            let k4 = rate(x + h * k3);
+            x += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4);
+            left -= h;
+            if x <= smallest {
+                return 0.0;
+            }
+        }
+        x
+    }
+}

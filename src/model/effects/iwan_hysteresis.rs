@@ -1,0 +1,159 @@
+//! Spring-slider (Jenkins) elements in parallel with a power-law spread of yields (Iwan 1966, Segalman
+//! 2005), in closed form: the virgin curve is integrated once, and every branch after a reversal is
+//! the virgin curve doubled (Masing), with reversals wiped out when a loop closes.
+
+use super::{Effect, Parameter, Place};
+use crate::model::ModelError;
+use crate::model::system::{Point, Term};
+
+/// `iwan-hysteresis`.
+pub static EFFECT: Effect = Effect {
+    name: "iwan-hysteresis",
+    place: Place::Isolator,
+    equation: "F = Preisach-Masing sum of Jenkins elements, density of stiffness over yield y ~ y^exponent on [yield_min, yield_max], total kp",
+    source: "W. D. Iwan, J. Appl. Mech. 33 (1966) 893; D. J. Segalman, J. Appl. Mech. 72 (2005) 752",
+    states: "memory of reversals",
+    regime: "all",
+    shows: "rate-independent loops, loss per cycle a power of amplitude, softening, memory of the largest excursion",
+    experiment: "loops at several A_G and rates",
+    piecewise_linear: false,
+    parameters: |s| {
+        vec![
+            Parameter::not_negative(
+                "kp_n_m",
+                "N/m",
+                "stiffness before any slip",
+                (1e-2 * s.stiffness_n_m(), 10.0 * s.stiffness_n_m()),
+                0.2 * s.stiffness_n_m(),
+            ),
+            Parameter::either("exponent", "1", "exponent of the density over yield, above -1", 1.0, -0.5)
+                .at_most(3.0),
+            Parameter::not_negative(
+                "yield_min_m",
+                "m",
+                "smallest yield",
+                (1e-3 * s.displacement_m, 0.3 * s.displacement_m),
+                1e-2 * s.displacement_m,
+            ),
+            Parameter::positive(
+                "yield_max_m",
+                "m",
+                "largest yield",
+                (0.1 * s.displacement_m, 3.0 * s.displacement_m),
+                s.displacement_m,
+            ),
+        ]
+    },
+    install: |values, system| {
+        let [kp, exponent, low, high] =
+            ["kp_n_m", "exponent", "yield_min_m", "yield_max_m"].map(|name| values.get(name));
+        if exponent <= -0.99 {
+            return Err(ModelError::invalid(
+                values.key("exponent"),
+                format!("{exponent}; allowed: -0.99 to 3"),
+            ));
+        }
+        if low >= high {
+            return Err(ModelError::invalid(
+                values.key("yield_min_m"),
+                format!("{low} m; allowed: below yield_max_m ({high} m)"),
+            ));
+        }
+        system.isolator_terms.push(Box::new(Iwan::new(kp, exponent, low, high)));
+        Ok(())
+    },
+};
+
+/// Reversals remembered; the innermost loops beyond that merge.
+const DEPTH: usize = 64;
+
+struct Iwan {
+    exponent: f64,
+    low: f64,
+    high: f64,
+    /// Density of stiffness is `density * y^exponent`.
+    density: f64,
+    /// Reversals, outermost first: each lies within the two before it.
+    turns: [(f64, f64); DEPTH],
+    count: usize,
+    last: f64,
+    direction: f64,
+}
+
+impl Iwan {
+    fn new(kp: f64, exponent: f64, low: f64, high: f64) -> Self {
+        let m = exponent + 1.0;
+        let density = kp * m / (high.powf(m) - low.powf(m));
+        Self { exponent, low, high, density, turns: [(0.0, 0.0); DEPTH], count: 0, last: 0.0, direction: 0.0 }
+    }
+
+    /// Force after a monotonic deformation `x >= 0` from the virgin state: sum of min(x, y).
+    fn virgin(&self, x: f64) -> f64 {
+        let (m, c) = (self.exponent + 1.0, self.density);
+        let split = x.clamp(self.low, self.high);
+        let slipping = (split.powf(m + 1.0) - self.low.powf(m + 1.0)) / (m + 1.0);
+        let holding = x * (self.high.powf(m) - split.powf(m)) / m;
+        c * (slipping + holding)
+    }
+
+    /// Reversals still in force when the motion has come to `x`.
+    fn active(&self, x: f64) -> usize {
+        let mut count = self.count;
+        while count > 0 {
+            let (top, _) = self.turns[count - 1];
+            let reach = if count >= 2 { (self.turns[count - 2].0 - top).abs() } else { 2.0 * top.abs() };
+            let towards = if count >= 2 { self.turns[count - 2].0 - top } else { -top };
+            if (x - top) * towards < 0.0 || (x - top).abs() < reach {
+                break;
+            }
+            count -= count.min(2);
+        }
+        count
+    }
+
+    fn at(&self, x: f64) -> f64 {
+        match self.active(x) {
+            0 => self.virgin(x.abs()).copysign(x),
+            count => {
+                let (from, force) = self.turns[count - 1];
+                force + (2.0 * self.virgin(0.5 * (x - from).abs())).copysign(x - from)
+            }
+        }
+    }
+}
+
+impl Term for Iwan {
+    fn turns(&self) -> bool {
+        true
+    }
+
+    fn force(&self, at: &Point, _: &[f64], _: &mut [f64]) -> f64 {
+        self.at(at.displacement_m)
+    }
+
+    fn commit(&mut self, displacement_m: f64) {
+        let step = displacement_m - self.last;
+        if step == 0.0 {
+            return;
+        }
+        if step * self.direction < 0.0 {
+            let force = self.at(self.last);
+            self.count = self.active(self.last);
+            if self.count < DEPTH {
+                self.turns[self.count] = (self.last, force);
+                self.count += 1;
+            }
+        }
+        self.count = self.active(displacement_m);
+        self.direction = step.signum();
+        self.last = displacement_m;
+    }
+
+    fn reset(&mut self) {
+        (self.count, self.last, self.direction) = (0, 0.0, 0.0);
+    }
+
+    fn tangent_n_m(&self) -> f64 {
+        self.virgin(self.low.max(1e-9 * self.high)) / self.low.max(1e-9 * self.high)
+    }
+}

@@ -1,0 +1,40 @@
+//! The general solver: Dormand and Prince's embedded Runge-Kutta 5(4) with dense output and the
+//! event discipline that every model needs (contact, release, knees, stick and slip, play,
+//! reversals). [`super::build`] and the sweep simulation drive it.
+//!
+//! Between events the model is smooth, so a step never straddles a corner; an event is bracketed on
+//! the dense output, also when a pair of crossings lies inside one step, and the step is then taken
+//! again up to it.
+
+mod dynamics;
+mod events;
+mod runge_kutta;
+mod specimen;
+#[cfg(test)]
+mod tests;
+
+pub use dynamics::{Drive, Line, Sine};
+pub use specimen::General;
+
+use super::system::System;
+use super::{ModelError, Options, Specimen};
+
+/// The largest state that a solver is compiled for.
+const LARGEST: usize = 48;
+
+/// Chooses the smallest solver that carries all states.
+///
+/// # Errors
+/// [`ModelError::TooManyStates`].
+pub(super) fn boxed(system: System, options: &Options) -> Result<Box<dyn Specimen>, ModelError> {
+    let states = 2 + system.hidden_states();
+    Ok(match states {
+        0..=2 => Box::new(General::<2>::new(system, options)),
+        3 => Box::new(General::<3>::new(system, options)),
+        4..=6 => Box::new(General::<6>::new(system, options)),
+        7..=10 => Box::new(General::<10>::new(system, options)),
+        11..=20 => Box::new(General::<20>::new(system, options)),
+        21..=LARGEST => Box::new(General::<LARGEST>::new(system, options)),
+        needed => return Err(ModelError::TooManyStates { needed, allowed: LARGEST }),
+    })
+}

@@ -1,0 +1,392 @@
+//! The stepping loop: step control, events, and the [`Specimen`] interface.
+
+use super::super::system::System;
+use super::super::{Options, Regime, Response, Specimen};
+use super::dynamics::{Drive, Forces, Joint, Layout, Line, Mode, Motion, Sliding, Tip};
+use super::events::{GUARDS, Guards, first_failure, guard};
+use super::runge_kutta::Step;
+
+/// Events allowed within one stretch before the step is taken regardless (chatter without end).
+const PATIENCE: usize = 200;
+
+/// The general solver of one model with `N` states.
+pub struct General<const N: usize> {
+    system: System,
+    layout: Layout,
+    tolerance: f64,
+    y: [f64; N],
+    mode: Mode,
+    /// Time since reset, s.
+    time_s: f64,
+    /// Step that the error control would take, s.
+    preferred_s: f64,
+    /// Table acceleration now; `None` when it is not known after an imposed motion.
+    table: Option<f64>,
+    /// Largest displacement and velocity so far, for the error control.
+    largest: [f64; 2],
+    turns: bool,
+}
+
+/// Rates, forces and guards at the present instant.
+struct Now<const N: usize> {
+    rates: [f64; N],
+    forces: Forces,
+    guards: Guards,
+}
+
+impl<const N: usize> General<N> {
+    /// The solver at rest in its equilibrium.
+    pub fn new(system: System, options: &Options) -> Self {
+        let layout = Layout::of(&system);
+        let turns = system.isolator_terms.iter().chain(&system.mass_terms).any(|term| term.turns());
+        let mode = Mode {
+            segment: 0,
+            contact: [false; 2],
+            tips: [Tip::default(); 2],
+            sliding: Sliding::Smooth,
+            joint: Joint::Rigid,
+            direction: 0,
+        };
+        let preferred_s = system.sample_period_s;
+        let tolerance = options.tolerance;
+        let mut solver = Self {
+            system,
+            layout,
+            tolerance,
+            y: [0.0; N],
+            mode,
+            time_s: 0.0,
+            preferred_s,
+            table: Some(0.0),
+            largest: [0.0; 2],
+            turns,
+        };
+        solver.reset();
+        solver
+    }
+
+    /// Error relative to what is allowed; 1 is just allowed.
+    fn excess(&self, error: &[f64; N]) -> f64 {
+        let [length, speed] = self.largest;
+        let mut worst = error[0].abs() / length;
+        worst = worst.max(error[1].abs() / speed);
+        for (i, e) in error.iter().enumerate().skip(2) {
+            let rate = self.system.stand.is_some() && (i == 3 || i == 5);
+            worst = worst.max(e.abs() / if rate { speed } else { length });
+        }
+        worst / self.tolerance
+    }
+
+    fn now<D: Drive>(&self, offset: f64, drive: D, motion: Motion) -> Now<N> {
+        let at = (self.time_s + offset, drive.at(offset));
+        let (rates, forces) =
+            self.system.rates(at, &self.y, &self.mode, &self.layout, imposed(motion, offset));
+        let guards = self.system.guards(at, &self.y, &self.mode, &self.layout, &forces);
+        Now { rates, forces, guards }
+    }
+
+    fn take<D: Drive>(&self, from: f64, h: f64, now: &Now<N>, drive: D, motion: Motion) -> Step<N> {
+        Step::take(h, &self.y, &now.rates, |offset, y| {
+            let t = from + offset;
+            self.system
+                .rates((self.time_s + t, drive.at(t)), y, &self.mode, &self.layout, imposed(motion, t))
+                .0
+        })
+    }
+
+    fn guards_at<D: Drive>(&self, t: f64, y: &[f64; N], drive: D, motion: Motion) -> Guards {
+        let at = (self.time_s + t, drive.at(t));
+        let (_, forces) = self.system.rates(at, y, &self.mode, &self.layout, imposed(motion, t));
+        self.system.guards(at, y, &self.mode, &self.layout, &forces)
+    }
+
+    /// Advances by `duration` s. `emit(begin, end, state)` is called for every accepted step with
+    /// its dense output (`state(part)` from 0 to 1) and may evaluate it anywhere.
+    pub fn advance<D: Drive>(
+        &mut self,
+        duration: f64,
+        drive: D,
+        motion: Motion,
+        emit: &mut impl FnMut(&Self, f64, f64, &Step<N>),
+    ) -> Forces {
+        let mut t = 0.0;
+        let mut now = self.now(t, drive, motion);
+        let mut events = 0;
+        while duration - t > 1e-13 * duration {
+            let rest = duration - t;
+            let mut h = self.preferred_s.min(rest);
+            if rest - h < 0.01 * h {
+                h = rest;
+            }
+            let (step, excess) = self.controlled(t, &mut h, &now, drive, motion);
+            let guards = {
+                let at = (self.time_s + t + h, drive.at(t + h));
+                let forces =
+                    self.system.rates(at, &step.end, &self.mode, &self.layout, imposed(motion, t + h)).1;
+                self.system.guards(at, &step.end, &self.mode, &self.layout, &forces)
+            };
+            let nearly = self.may_dip(h, &now, &guards, &step);
+            let failed = guards.iter().any(|g| *g < 0.0) || nearly.contains(&true);
+            let failure = if failed && events < PATIENCE {
+                first_failure(&now.guards, &guards, &nearly, |part| {
+                    self.guards_at(t + part * h, &step.at(part), drive, motion)
+                })
+            } else {
+                None
+            };
+            if let Some((index, part)) = failure {
+                events += 1;
+                let short = part * h;
+                if short > 0.0 {
+                    let step = self.take(t, short, &now, drive, motion);
+                    emit(self, t, t + short, &step);
+                    self.y = step.end;
+                    t += short;
+                }
+                self.commit();
+                self.switch(index, t, drive, motion);
+            } else {
+                emit(self, t, t + h, &step);
+                self.y = step.end;
+                t = if h == rest { duration } else { t + h };
+                self.commit();
+                let growth = 0.9 * excess.max(1e-6).powf(-0.2);
+                self.preferred_s = (h * growth.clamp(0.2, 5.0)).max(if h == rest {
+                    self.preferred_s.min(h * 5.0)
+                } else {
+                    0.0
+                });
+            }
+            now = self.now(t, drive, motion);
+        }
+        self.time_s += duration;
+        now.forces
+    }
+
+    /// A step within the tolerance; shortens `h` until it is (or cannot get shorter).
+    fn controlled<D: Drive>(
+        &self,
+        t: f64,
+        h: &mut f64,
+        now: &Now<N>,
+        drive: D,
+        motion: Motion,
+    ) -> (Step<N>, f64) {
+        let smallest = 1e-7 * self.system.sample_period_s;
+        loop {
+            let step = self.take(t, *h, now, drive, motion);
+            let excess = self.excess(&step.error);
+            if excess <= 1.0 || *h <= smallest {
+                return (step, excess);
+            }
+            *h *= if excess.is_finite() { (0.9 * excess.powf(-0.2)).clamp(0.1, 0.9) } else { 0.1 };
+        }
+    }
+
+    /// Guards that are above zero at both ends of a step but could have dipped below in between.
+    fn may_dip(&self, h: f64, now: &Now<N>, end: &Guards, step: &Step<N>) -> [bool; GUARDS] {
+        let mut nearly = [false; GUARDS];
+        let way = h * self.y[1].abs().max(step.end[1].abs()) + 0.5 * h * h * step.rates[1].abs();
+        let turned = self.y[1] * step.end[1] <= 0.0;
+        let loose = turned
+            || self.system.stand.is_some()
+            || self.mode.joint != Joint::Rigid
+            || self.mode.tips.iter().any(|tip| tip.deformation_m > 0.0);
+        for (i, dips) in nearly.iter_mut().enumerate() {
+            let (g0, g1) = (now.guards[i], end[i]);
+            if g1 < 0.0 || g1.is_infinite() {
+                continue;
+            }
+            let side = i.wrapping_sub(guard::RIGHT);
+            *dips = match i {
+                guard::KNEE_UP | guard::KNEE_DOWN => loose && g0.min(g1) < way,
+                guard::RIGHT | guard::LEFT if !self.mode.contact[side] => loose && g0.min(g1) < way,
+                guard::BEARINGS if matches!(self.mode.sliding, Sliding::Slip(_)) => {
+                    g0.min(g1) < h * now.rates[1].abs().max(step.rates[1].abs())
+                        && now.rates[1] * step.rates[1] <= 0.0
+                }
+                guard::REVERSAL => {
+                    now.rates[1] * step.rates[1] <= 0.0
+                        && g0.min(g1) < h * now.rates[1].abs().max(step.rates[1].abs())
+                }
+                _ => g0.min(g1) < 2.0 * (g1 - g0).abs(),
+            };
+        }
+        nearly
+    }
+
+    /// Tells terms with memory, and the error control, where the motion has come to.
+    fn commit(&mut self) {
+        self.largest[0] = self.largest[0].max(self.y[0].abs());
+        self.largest[1] = self.largest[1].max(self.y[1].abs());
+        if self.turns {
+            let element =
+                if self.mode.joint == Joint::Rigid { self.y[0] } else { self.y[self.layout.element] };
+            self.system.isolator_terms.iter_mut().for_each(|term| term.commit(element));
+            self.system.mass_terms.iter_mut().for_each(|term| term.commit(self.y[0]));
+        }
+    }
+
+    /// Enters the mode that follows a failed guard.
+    fn switch<D: Drive>(&mut self, index: usize, t: f64, drive: D, motion: Motion) {
+        match index {
+            guard::KNEE_UP => self.mode.segment += 1,
+            guard::KNEE_DOWN => self.mode.segment -= 1,
+            guard::RIGHT | guard::LEFT => self.switch_contact(index - guard::RIGHT, t),
+            guard::BEARINGS => self.switch_bearings(t, drive, motion),
+            guard::REVERSAL => self.mode.direction = -self.mode.direction,
+            _ => self.switch_joint(index),
+        }
+    }
+
+    fn switch_contact(&mut self, side: usize, t: f64) {
+        let (p, rate) = self.system.approach(side, &self.y, &self.layout);
+        if self.mode.contact[side] {
+            self.mode.contact[side] = false;
+            self.mode.tips[side] = Tip { deformation_m: p.max(0.0), since_s: self.time_s + t };
+            return;
+        }
+        // The gap closes only if the mass is faster than the tip; else the two move on together.
+        if rate > 0.0 && self.system.bumper.force_n(p, rate) >= 0.0 {
+            self.mode.contact[side] = true;
+        } else {
+            self.mode.tips[side] = Tip { deformation_m: p.max(0.0), since_s: self.time_s + t };
+        }
+    }
+
+    fn switch_bearings<D: Drive>(&mut self, t: f64, drive: D, motion: Motion) {
+        if let (Motion::Imposed(_), Sliding::Slip(sign)) = (motion, self.mode.sliding) {
+            self.mode.sliding = Sliding::Slip(-sign);
+            return;
+        }
+        self.y[1] = 0.0;
+        let at = (self.time_s + t, drive.at(t));
+        let was = self.mode.sliding;
+        self.mode.sliding = Sliding::Stick;
+        let forces = self.system.rates(at, &self.y, &self.mode, &self.layout, None).1;
+        let reaction = self.system.table_inverse_mass_1_kg * (forces.contact_n[0] - forces.contact_n[1]);
+        let pull = forces.without_friction_n + self.system.mass_kg * (at.1 + reaction);
+        let holds = self.system.friction.map_or(0.0, |friction| friction.breakaway_n);
+        if was == Sliding::Stick || pull.abs() > holds {
+            self.mode.sliding = Sliding::Slip(if pull > 0.0 { -1 } else { 1 });
+        }
+    }
+
+    fn switch_joint(&mut self, index: usize) {
+        let element = self.layout.element;
+        let half = self.system.joint_half_width_m.unwrap_or(0.0);
+        self.mode.joint = match self.mode.joint {
+            Joint::Open => {
+                let sign = if index == guard::JOINT_UP { 1 } else { -1 };
+                self.y[element] = self.y[0] - f64::from(sign) * half;
+                Joint::Closed(sign)
+            }
+            _ => Joint::Open,
+        };
+    }
+
+    /// Mode that fits the present state: where segments, contacts and directions are taken from it.
+    fn settle_mode(&mut self) {
+        let element = if self.mode.joint == Joint::Rigid { self.y[0] } else { self.y[self.layout.element] };
+        self.mode.segment = self.system.segment(element);
+        for side in 0..2 {
+            self.mode.contact[side] =
+                self.system.has_bumper && self.system.approach(side, &self.y, &self.layout).0 > 0.0;
+        }
+        if self.system.friction.is_some() {
+            self.mode.sliding = match self.y[1] {
+                v if v > 0.0 => Sliding::Slip(1),
+                v if v < 0.0 => Sliding::Slip(-1),
+                _ => Sliding::Stick,
+            };
+        }
+    }
+
+    /// The response at the present instant.
+    pub fn response(&self, forces: &Forces) -> Response {
+        self.response_of(&self.y, forces)
+    }
+
+    /// The response of a state of this mode.
+    pub fn response_of(&self, y: &[f64; N], forces: &Forces) -> Response {
+        Response {
+            relative_displacement_m: y[0],
+            relative_velocity_m_s: y[1],
+            mass_acceleration_m_s2: -forces.restoring_n / self.system.mass_kg,
+            right_contact_force_n: forces.contact_n[0],
+            left_contact_force_n: forces.contact_n[1],
+            regime: Regime {
+                isolator_branch: self.mode.segment.unsigned_abs().min(255) as u8,
+                right_contact: self.mode.contact[0],
+                left_contact: self.mode.contact[1],
+                sticking: self.mode.sliding == Sliding::Stick,
+            },
+        }
+    }
+
+    /// Forces of a state within a step, at a time since the beginning of the stretch.
+    pub fn forces_at<D: Drive>(&self, t: f64, y: &[f64; N], drive: D) -> Forces {
+        self.system.rates((self.time_s + t, drive.at(t)), y, &self.mode, &self.layout, None).1
+    }
+}
+
+fn imposed(motion: Motion, t: f64) -> Option<f64> {
+    match motion {
+        Motion::Free => None,
+        Motion::Imposed(acceleration) => Some(acceleration.at(t)),
+    }
+}
+
+impl<const N: usize> Specimen for General<N> {
+    fn reset(&mut self) {
+        self.y = [0.0; N];
+        self.y[0] = self.system.equilibrium_m();
+        (self.time_s, self.table) = (0.0, Some(0.0));
+        self.preferred_s = self.system.sample_period_s;
+        let (length, frequency) = self.system.magnitudes();
+        // What is far below the specimen's own size need not be resolved.
+        self.largest = [1e-3 * length, 1e-3 * length * frequency];
+        self.mode.tips = [Tip::default(); 2];
+        self.mode.direction = i8::from(self.turns);
+        self.mode.joint = if self.system.joint_half_width_m.is_some() { Joint::Open } else { Joint::Rigid };
+        self.system
+            .isolator_terms
+            .iter_mut()
+            .chain(&mut self.system.mass_terms)
+            .for_each(|term| term.reset());
+        self.settle_mode();
+    }
+
+    fn step(&mut self, table_acceleration_m_s2: f64) -> Response {
+        let dt = self.system.sample_period_s;
+        let start = self.table.unwrap_or(table_acceleration_m_s2);
+        let line = Line { start, slope: (table_acceleration_m_s2 - start) / dt };
+        let forces = self.advance(dt, line, Motion::Free, &mut |_, _, _, _| {});
+        self.table = Some(table_acceleration_m_s2);
+        self.response(&forces)
+    }
+
+    fn impose(&mut self, relative_displacement_m: f64, relative_velocity_m_s: f64) -> Response {
+        let dt = self.system.sample_period_s;
+        let (d0, v0, d1, v1) = (self.y[0], self.y[1], relative_displacement_m, relative_velocity_m_s);
+        // Acceleration of the cubic through both ends.
+        let mean = (d1 - d0) / dt;
+        let start = (6.0 * mean - 4.0 * v0 - 2.0 * v1) / dt;
+        let line = Line { start, slope: (6.0 * (v0 + v1) - 12.0 * mean) / (dt * dt) };
+        if self.system.friction.is_some() && self.mode.sliding == Sliding::Stick {
+            let moves = if v0 != 0.0 { v0 } else { d1 - d0 };
+            self.mode.sliding = Sliding::Slip(if moves < 0.0 { -1 } else { 1 });
+        }
+        let still = Line { start: 0.0, slope: 0.0 };
+        self.advance(dt, still, Motion::Imposed(line), &mut |_, _, _, _| {});
+        (self.y[0], self.y[1]) = (d1, v1);
+        self.table = None;
+        let at = (self.time_s, 0.0);
+        let forces = self.system.rates(at, &self.y, &self.mode, &self.layout, Some(line.at(dt))).1;
+        self.response(&forces)
+    }
+
+    fn prime(&mut self, table_acceleration_m_s2: f64) {
+        self.table = Some(table_acceleration_m_s2);
+    }
+}

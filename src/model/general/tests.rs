@@ -1,0 +1,59 @@
+//! The general solver on its own.
+
+use crate::model::testing::{b1_g2, effect, oscillator};
+use crate::model::{build, simulate_sampled};
+use std::f64::consts::TAU;
+
+const DT: f64 = 1.0 / 2048.0;
+
+#[test]
+fn one_slope_without_bumpers_reaches_the_textbook_steady_state() {
+    let (m, k, c, f) = (500.0_f64, 20e3_f64, 1100.0_f64, 1.3_f64);
+    let w = TAU * f;
+    let input: Vec<f64> = (1..=2048 * 40).map(|i| 0.5 * (w * f64::from(i) * DT).sin()).collect();
+    let history = simulate_sampled(&oscillator(m, k, c), DT, &input).expect("runs");
+    let gain = m * 0.5 / ((k - m * w * w).powi(2) + (c * w).powi(2)).sqrt();
+    let phase = (-c * w).atan2(k - m * w * w);
+    // First-order hold replaces the sine by chords: (wh)^2/12 = 1.3e-6 smaller.
+    let shrink = 1.0 - (w * DT).powi(2) / 12.0;
+    for i in (input.len() - 4000)..input.len() {
+        let expected = -gain * shrink * (w * (i + 1) as f64 * DT + phase).sin();
+        let got = history.relative_displacement_m[i];
+        assert!((got - expected).abs() < 1e-8 * gain, "{i}: {got} {expected}");
+    }
+}
+
+#[test]
+fn contact_pushes_only_and_both_sides_are_reached() {
+    let w = TAU * 1.0;
+    let input: Vec<f64> = (1..=20480).map(|i| 0.5 * (w * f64::from(i) * DT).sin()).collect();
+    let history = simulate_sampled(&b1_g2(), DT, &input).expect("runs");
+    assert!(history.regime.iter().any(|r| r.right_contact) && history.regime.iter().any(|r| r.left_contact));
+    for i in 0..history.len() {
+        assert!(history.right_contact_force_n[i] >= -1e-6 && history.left_contact_force_n[i] >= -1e-6);
+        let d = history.relative_displacement_m[i];
+        assert!(!(d < 0.010 && history.regime[i].right_contact && history.regime[i].left_contact));
+        if d > 0.0101 && history.relative_velocity_m_s[i] > 0.0 {
+            assert!(history.regime[i].right_contact, "sample {i}: D = {d} m");
+        }
+    }
+}
+
+#[test]
+fn imposing_the_simulated_motion_returns_the_simulated_force() {
+    let w = TAU * 1.0;
+    let input: Vec<f64> = (1..=20480).map(|i| 0.5 * (w * f64::from(i) * DT).sin()).collect();
+    for extra in [None, Some(effect("maxwell-branch", &[("km_n_m", 3000.0), ("tau_s", 0.1)]))] {
+        let mut spec = b1_g2();
+        spec.effects.extend(extra);
+        let history = simulate_sampled(&spec, DT, &input).expect("runs");
+        let mut specimen = build(&spec, DT).expect("builds");
+        for i in 0..history.len() {
+            let response =
+                specimen.impose(history.relative_displacement_m[i], history.relative_velocity_m_s[i]);
+            let expected = history.mass_acceleration_m_s2[i];
+            let corner = response.regime != history.regime[i];
+            assert!(corner || (response.mass_acceleration_m_s2 - expected).abs() < 1e-6, "{i}");
+        }
+    }
+}
