@@ -1,8 +1,9 @@
-//! `export`: a record into the file formats of other tools.
+//! `export`: a record into the file formats of other tools; what is wrong with it is said on the way.
 
 use super::reading::ReadArgs;
 use super::{CliError, Outcome};
 use crate::record::data::{self, Format};
+use crate::record::quality;
 use std::path::PathBuf;
 
 /// Write a record as Parquet, CSV, HDF5, MAT v7.3 or UFF58.
@@ -36,6 +37,10 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         return Err(CliError::usage(format!("{} exists; `--force` replaces it", args.output.display())));
     }
     let record = args.read.open()?;
+    let findings = quality::examine(&record);
+    for finding in &findings {
+        eprintln!("{:?}: {}", finding.severity, finding.text);
+    }
     data::write(&record, &args.output, format).map_err(CliError::failed)?;
     let channels: Vec<&str> = record.channels().map(|(role, _)| role.name()).collect();
     if args.json {
@@ -47,6 +52,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
             "channels": channels,
             "steps": record.step_ranges().len(),
             "notes": record.notes,
+            "findings": findings,
         });
         println!("{said}");
     } else {

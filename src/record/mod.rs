@@ -2,6 +2,8 @@
 
 pub mod data;
 pub mod folder;
+mod kinematic;
+pub mod quality;
 pub mod read;
 pub mod recorder;
 pub mod recover;

@@ -1,0 +1,307 @@
+//! Is a record fit to judge a model by? Asked before any physics is blamed.
+//!
+//! [`examine`] looks at length, steadiness, stuck, constant and saturated channels, and at kinematics
+//! ([`kinematic`](super::kinematic)): signs, units and swapped sensors. It needs no model and no scale:
+//! every figure is relative to the record itself, so that grams and micrometres are judged like tonnes.
+
+use super::data::{Kind, Record, Role};
+use super::kinematic;
+use crate::signal::fundamental_hz;
+use serde::Serialize;
+
+/// How bad a finding is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Severity {
+    /// Worth knowing; verdicts stand.
+    Notice,
+    /// Verdicts may suffer.
+    Warning,
+    /// No verdict on the model can be trusted.
+    Error,
+}
+
+/// What was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Problem {
+    /// Fewer than three cycles of the input, or hardly any samples.
+    TooShort,
+    /// The steps end before the response is steady.
+    NoSteadyState,
+    /// A channel sits at its largest or smallest value.
+    Saturated,
+    /// A channel never changes.
+    Constant,
+    /// A channel stands still while the input moves.
+    Stuck,
+    /// A channel has the wrong sign.
+    WrongSign,
+    /// A channel is in another unit than said.
+    WrongUnit,
+    /// Two channels are exchanged.
+    Swapped,
+    /// Channels contradict each other in a way that no sign, unit or exchange explains.
+    Inconsistent,
+    /// Samples are missing and were bridged.
+    Lost,
+}
+
+/// One finding.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Finding {
+    /// How bad.
+    pub severity: Severity,
+    /// What.
+    pub problem: Problem,
+    /// Where; `None` concerns the whole record.
+    pub channel: Option<&'static str>,
+    /// A sentence for the operator.
+    pub text: String,
+    /// The number behind it: cycles, share of samples, relative misfit, by problem.
+    pub figure: f64,
+}
+
+impl Finding {
+    pub(super) fn new(
+        severity: Severity,
+        problem: Problem,
+        channel: Option<Role>,
+        text: String,
+        figure: f64,
+    ) -> Self {
+        Self { severity, problem, channel: channel.map(Role::name), text, figure }
+    }
+}
+
+/// Cycles of the input that a record needs, and that a step needs for its steady state.
+const FEWEST_CYCLES: f64 = 3.0;
+/// Samples that a record needs.
+const FEWEST_SAMPLES: usize = 64;
+
+/// All findings, the worst first; none on a sound record.
+pub fn examine(record: &Record) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    let short = too_short(record);
+    let has_length = short.is_none();
+    findings.extend(short);
+    for (role, values) in record.channels().filter(|(role, _)| *role != Role::Time) {
+        match constant(role, values) {
+            Some(finding) => findings.push(finding),
+            None => {
+                findings.extend(saturated(record, role, values));
+                findings.extend(stuck(record, role, values));
+            }
+        }
+    }
+    // A channel that says nothing has no sign or unit.
+    if has_length && findings.iter().all(|finding| finding.problem != Problem::Constant) {
+        findings.extend(kinematic::examine(record));
+        findings.extend(unsteady(record));
+    }
+    for note in record.notes.iter().filter(|note| note.contains("filled in by straight lines")) {
+        let count = note.split(' ').next().and_then(|word| word.parse().ok()).unwrap_or(0.0);
+        let share = count / record.len().max(1) as f64;
+        let severity = if share > 0.01 { Severity::Warning } else { Severity::Notice };
+        findings.push(Finding::new(severity, Problem::Lost, None, note.clone(), share));
+    }
+    findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
+    findings
+}
+
+fn too_short(record: &Record) -> Option<Finding> {
+    let samples = record.len();
+    let error = |text: String, figure: f64| {
+        Some(Finding::new(Severity::Error, Problem::TooShort, None, text, figure))
+    };
+    if samples < FEWEST_SAMPLES {
+        return error(format!("{samples} samples are too few ({FEWEST_SAMPLES} at least)"), samples as f64);
+    }
+    let cycles = cycles(record.input());
+    if cycles < FEWEST_CYCLES {
+        let seconds = samples as f64 / record.sample_rate_hz;
+        let text = format!("{seconds:.3} s hold {cycles:.1} cycles of the input ({FEWEST_CYCLES} at least)");
+        return error(text, cycles);
+    }
+    None
+}
+
+/// Crossings of the mean upwards, with a hysteresis of half the RMS either side. An input that never
+/// crosses twice has at most one cycle.
+fn cycles(input: &[f64]) -> f64 {
+    let n = input.len().max(1) as f64;
+    let mean = input.iter().sum::<f64>() / n;
+    let rms = (input.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / n).sqrt();
+    let (mut low, mut high, mut halves) = (false, false, 0u32);
+    for x in input {
+        if x - mean < -0.5 * rms && !low {
+            (low, high) = (true, false);
+            halves += 1;
+        } else if x - mean > 0.5 * rms && !high {
+            (low, high) = (false, true);
+            halves += 1;
+        }
+    }
+    0.5 * f64::from(halves)
+}
+
+fn span(values: &[f64]) -> (f64, f64) {
+    values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)))
+}
+
+fn constant(role: Role, values: &[f64]) -> Option<Finding> {
+    let (low, high) = span(values);
+    let largest = low.abs().max(high.abs());
+    (high - low <= 1e-9 * largest).then(|| {
+        let text = format!("{} is constant at {low:.6e} {}", role.name(), role.unit());
+        Finding::new(Severity::Error, Problem::Constant, Some(role), text, low)
+    })
+}
+
+/// A saturated sensor has many samples at exactly its largest (or smallest) value and few just below:
+/// of a sine that is cut at 99 %, 0.8 times as many at the top as in the 2 % of the range below; of a
+/// whole one, however coarsely quantised, 0.3 times at most when the band is 16 steps wide at least.
+fn saturated(record: &Record, role: Role, values: &[f64]) -> Option<Finding> {
+    let (low, high) = span(values);
+    let quantum = quantum(values, high - low);
+    let band = (0.02 * (high - low)).max(16.0 * quantum);
+    if band > 0.25 * (high - low) {
+        return None;
+    }
+    let (mut at, mut near) = ([0usize; 2], [0usize; 2]);
+    for &x in values {
+        for (side, distance) in [high - x, x - low].into_iter().enumerate() {
+            if distance <= 0.0 {
+                at[side] += 1;
+            } else if distance < band {
+                near[side] += 1;
+            }
+        }
+    }
+    let cut = |side: usize| at[side] >= 8 && at[side] as f64 > 0.6 * near[side] as f64;
+    if !cut(0) && !cut(1) {
+        return None;
+    }
+    let count = (0..2).filter(|side| cut(*side)).map(|side| at[side]).sum::<usize>();
+    let share = count as f64 / values.len() as f64;
+    let level = if cut(0) { high } else { low };
+    // What is imposed may dwell on purpose, and a computed friction force does.
+    let computed = role == Role::Force && white_noise(values) < 1e-9 * (high - low);
+    let imposed = std::ptr::eq(values, record.input());
+    let severity = if imposed || computed { Severity::Warning } else { Severity::Error };
+    let text = format!(
+        "{} sits at {level:.6e} {} in {count} samples: saturated or clipped",
+        role.name(),
+        role.unit()
+    );
+    Some(Finding::new(severity, Problem::Saturated, Some(role), text, share))
+}
+
+/// Smallest difference between neighbours, the step of a converter; rounding of doubles is none.
+fn quantum(values: &[f64], range: f64) -> f64 {
+    let least = 1e-9 * range;
+    values
+        .windows(2)
+        .map(|pair| (pair[1] - pair[0]).abs())
+        .filter(|difference| *difference > least)
+        .fold(f64::INFINITY, f64::min)
+        .min(range)
+}
+
+/// White noise, rms, from sixth differences, which pass no slow motion: median of their size over what
+/// the median of unit noise gives.
+pub fn white_noise(values: &[f64]) -> f64 {
+    // Sum of the squares of the binomial coefficients 1, 6, 15, 20, 15, 6, 1.
+    const GAIN: f64 = 924.0;
+    const MEDIAN: f64 = 0.674_489_750_196_081_7;
+    // Some ten thousand places tell the median to a per cent.
+    let stride = (values.len() / 20_000).max(1);
+    let mut sizes: Vec<f64> = values
+        .windows(7)
+        .step_by(stride)
+        .map(|w| (w[0] - 6.0 * w[1] + 15.0 * w[2] - 20.0 * w[3] + 15.0 * w[4] - 6.0 * w[5] + w[6]).abs())
+        .collect();
+    if sizes.is_empty() {
+        return 0.0;
+    }
+    let middle = sizes.len() / 2;
+    *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 / (MEDIAN * GAIN.sqrt())
+}
+
+/// The longest stretch of equal values inside the record, if the input moves on during it while the
+/// channel elsewhere never holds still.
+fn stuck(record: &Record, role: Role, values: &[f64]) -> Option<Finding> {
+    let (mut first, mut best, mut still) = (0, 0..0usize, 0usize);
+    for run in values.chunk_by(|a, b| a == b) {
+        let end = first + run.len();
+        still += run.len() - 1;
+        // Rest before the start and after the end is no fault.
+        if first > 0 && end < values.len() && run.len() > best.len() {
+            best = first..end;
+        }
+        first = end;
+    }
+    let elsewhere = (still + 1).saturating_sub(best.len()) as f64 / values.len() as f64;
+    if best.len() < 50 || elsewhere > 0.5 || std::ptr::eq(values, record.input()) {
+        return None;
+    }
+    let (low, high) = span(record.input());
+    let (least, most) = span(&record.input()[best.clone()]);
+    let moves = most - least > 0.25 * (high - low);
+    let (bottom, top) = span(values);
+    let held = values[best.start];
+    // A held extreme value is saturation, which has been named.
+    let extreme = held <= bottom || held >= top;
+    (moves && !extreme).then(|| {
+        let seconds = best.len() as f64 / record.sample_rate_hz;
+        let text = format!(
+            "{} stands still for {seconds:.3} s from {:.3} s on while the input moves",
+            role.name(),
+            record.time_s[best.start]
+        );
+        let share = best.len() as f64 / values.len() as f64;
+        Finding::new(Severity::Error, Problem::Stuck, Some(role), text, share)
+    })
+}
+
+/// Steps too short or still growing: most of them have fewer than three cycles, or their last two cycles
+/// differ by more than a tenth in the size of the response.
+fn unsteady(record: &Record) -> Option<Finding> {
+    let response: &[f64] = match record.kind {
+        Kind::Base if !record.relative_displacement_m.is_empty() => &record.relative_displacement_m,
+        Kind::Base => &record.mass_acceleration_1_m_s2,
+        Kind::Force if !record.displacement_m.is_empty() => &record.displacement_m,
+        Kind::Force => &record.acceleration_m_s2,
+        Kind::Component => &record.force_n,
+    };
+    let steps = record.step_ranges();
+    let judged = steps.iter().filter_map(|(_, range)| {
+        let window = range.clone();
+        let hz = fundamental_hz(record.input().get(window.clone())?, record.sample_rate_hz)?;
+        let period = (record.sample_rate_hz / hz).round() as usize;
+        if window.len() as f64 / (period.max(1) as f64) < FEWEST_CYCLES - 0.2 {
+            return Some(false);
+        }
+        let size = |end: usize| {
+            let (low, high) = span(response.get(end.checked_sub(period)?..end)?);
+            Some(high - low)
+        };
+        let (last, before) = (size(window.end)?, size(window.end - period)?);
+        let noise = 6.0 * white_noise(&response[window]);
+        Some((last - before).abs() <= 0.1 * last.max(before) + noise)
+    });
+    let judged: Vec<bool> = judged.collect();
+    let bad = judged.iter().filter(|steady| !**steady).count();
+    (!judged.is_empty() && bad * 2 > judged.len()).then(|| {
+        let text = format!(
+            "{bad} of {} steps end before the response is steady (three cycles, the last two within a tenth)",
+            judged.len()
+        );
+        let share = bad as f64 / judged.len() as f64;
+        Finding::new(Severity::Warning, Problem::NoSteadyState, None, text, share)
+    })
+}
+
+#[cfg(test)]
+#[path = "quality_tests.rs"]
+mod tests;
