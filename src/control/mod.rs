@@ -3,7 +3,7 @@
 pub mod chain;
 pub mod clock;
 pub mod event;
-mod plain;
+mod onboard;
 mod reference;
 pub mod session;
 pub mod setup;

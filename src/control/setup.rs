@@ -1,11 +1,13 @@
 //! From configurations to a run: checks that the sweep fits the rig, builds specimen, onboard model and
 //! rig, and writes down what was asked. Used by the command line, campaigns and the daemon.
 
-use super::plain::{self, ModelError};
+use super::onboard::Observed;
 use super::session::{Pace, Plan};
 use super::thread::prioritise_link;
 use crate::config::Case;
-use crate::model::{ModelSpec, Specimen};
+use crate::model::observe::Instruments;
+use crate::model::system::System;
+use crate::model::{ModelError, ModelSpec, Observer, Specimen, build, paper};
 use crate::record::Manifest;
 use crate::rig::RigSpec;
 use crate::rig::hardware::{HardwareError, HardwareMonitor, HardwareRig, HardwareSpec, Preflight};
@@ -92,7 +94,14 @@ impl Setup {
     /// # Errors
     /// [`SetupError::Model`].
     pub fn onboard_model(&self) -> Result<Box<dyn Specimen>, SetupError> {
-        build("model", &self.model, 1.0 / self.rig.sample_rate_hz)
+        let role = |source| SetupError::Model { role: "model", source };
+        let step_s = 1.0 / self.rig.sample_rate_hz;
+        let specimen = build(&self.model, step_s).map_err(role)?;
+        let instruments = System::compile(&self.model, step_s).map_err(role)?.instruments;
+        if instruments == Instruments::default() {
+            return Ok(specimen);
+        }
+        Ok(Box::new(Observed::new(specimen, Observer::from_instruments(instruments, step_s))))
     }
 
     /// The simulated rig with its specimen.
@@ -101,8 +110,12 @@ impl Setup {
     /// [`SetupError::Model`].
     pub fn simulated_rig(&self) -> Result<SimulatedRig, SetupError> {
         let (spec, rate) = (self.rig.simulated(), self.rig.sample_rate_hz);
-        let specimen = build("specimen", &self.specimen, specimen_step_s(&spec, rate))?;
-        Ok(SimulatedRig::new(&spec, specimen, self.specimen.mass_kg, rate, self.seed))
+        let role = |source| SetupError::Model { role: "specimen", source };
+        let step_s = specimen_step_s(&spec, rate);
+        let specimen = build(&self.specimen, step_s).map_err(role)?;
+        let system = System::compile(&self.specimen, step_s).map_err(role)?;
+        let rig = SimulatedRig::new(&spec, specimen, system.mass_kg, rate, self.seed);
+        Ok(rig.with_instruments(Observer::from_instruments(system.instruments, step_s)))
     }
 
     /// What `run.toml` says at the start.
@@ -216,11 +229,7 @@ impl Setup {
 
 /// The published model of a case.
 pub fn model_of_case(case: &Case) -> ModelSpec {
-    plain::of_case(case)
-}
-
-fn build(role: &'static str, spec: &ModelSpec, step_s: f64) -> Result<Box<dyn Specimen>, SetupError> {
-    plain::build(spec, step_s).map_err(|source| SetupError::Model { role, source })
+    paper::of_case(case)
 }
 
 fn parse<T: DeserializeOwned>(manifest: &Manifest, role: &'static str) -> Result<T, SetupError> {

@@ -10,6 +10,7 @@ mod error;
 pub mod general;
 mod keys;
 pub mod observe;
+pub mod paper;
 pub mod scales;
 pub mod simulate;
 pub mod spec;

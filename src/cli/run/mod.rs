@@ -190,8 +190,7 @@ fn setup(args: &Args) -> Result<Setup, CliError> {
 
 /// Reads a model by name or path.
 pub(super) fn read_model(name: &str) -> Result<ModelSpec, CliError> {
-    let source = find("models", name).map_err(|error| CliError::Usage(error.into()))?;
-    toml::from_str(&source.text).map_err(|error| CliError::usage(format!("{}: {error}", source.origin)))
+    find("models", name).and_then(|source| source.parse()).map_err(|error| CliError::Usage(error.into()))
 }
 
 /// Writes the report of a run; a report that fails is told and does not undo the run.

@@ -11,7 +11,7 @@ pub use faults::{ALL_CHANNELS, Channel, Fault, FaultSwitches, LATE_BURST_SAMPLES
 pub use spec::{FoldbackSpec, SensorSpec, SimulatedSpec, TableSpec};
 
 use super::{Rig, RigFault};
-use crate::model::Specimen;
+use crate::model::{Observation, Observer, Specimen};
 use crate::stream::{Channels, Command, Sample, StatusBits};
 use actuator::{Actuator, Drive};
 use faults::Active;
@@ -29,6 +29,7 @@ pub struct SimulatedRig {
     specimen: Box<dyn Specimen>,
     specimen_mass_kg: f64,
     mass_acceleration_m_s2: f64,
+    observer: Option<Observer>,
     sensors: Sensors,
     substeps: u32,
     sample_rate_hz: f64,
@@ -60,6 +61,7 @@ impl SimulatedRig {
             specimen,
             specimen_mass_kg,
             mass_acceleration_m_s2: 0.0,
+            observer: None,
             sensors: Sensors::new(&spec.sensors, sample_rate_hz, substeps, Pcg64Mcg::seed_from_u64(seed)),
             substeps,
             sample_rate_hz,
@@ -72,6 +74,12 @@ impl SimulatedRig {
             now: Active::default(),
             garbage: Pcg64Mcg::seed_from_u64(seed ^ 0x9e37_79b9_7f4a_7c15),
         }
+    }
+
+    /// The same rig with what the specimen's model says of the instruments (gains, delays, yaw of the
+    /// mass), made for the step of the specimen.
+    pub fn with_instruments(self, observer: Observer) -> Self {
+        Self { observer: Some(observer), ..self }
     }
 
     /// The rig's fault switches; the handle may go to any thread.
@@ -98,12 +106,18 @@ impl SimulatedRig {
             let table_acceleration_m_s2 = self.actuator.substep(reaction_n);
             let response = self.specimen.step(table_acceleration_m_s2);
             self.mass_acceleration_m_s2 = response.mass_acceleration_m_s2;
+            let plain = Observation {
+                relative_displacement_m: response.relative_displacement_m,
+                mass_acceleration_1_m_s2: response.mass_acceleration_m_s2,
+                mass_acceleration_2_m_s2: response.mass_acceleration_m_s2,
+            };
+            let seen = self.observer.as_mut().map_or(plain, |observer| observer.observe(&response));
             self.sensors.follow(&Motion {
                 table_displacement_m: self.actuator.displacement_m,
                 table_acceleration_m_s2,
-                mass_acceleration_1_m_s2: response.mass_acceleration_m_s2,
-                mass_acceleration_2_m_s2: response.mass_acceleration_m_s2,
-                relative_displacement_m: response.relative_displacement_m,
+                mass_acceleration_1_m_s2: seen.mass_acceleration_1_m_s2,
+                mass_acceleration_2_m_s2: seen.mass_acceleration_2_m_s2,
+                relative_displacement_m: seen.relative_displacement_m,
             });
         }
     }
