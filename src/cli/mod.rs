@@ -4,6 +4,7 @@
 
 pub mod bench;
 pub mod doctor;
+pub mod effect;
 pub mod emulate;
 pub mod export;
 pub mod import;
@@ -12,6 +13,7 @@ pub mod recover;
 pub mod replay;
 pub mod run;
 pub mod runs;
+pub mod simulate;
 
 use clap::Parser;
 use std::process::ExitCode;
@@ -43,6 +45,10 @@ enum Command {
     Emulate(emulate::Args),
     /// Measure the control thread on this machine.
     Bench(bench::Args),
+    /// Response of a model to a sweep on an ideal table.
+    Simulate(simulate::Args),
+    /// List, show, add or remove effects of a model.
+    Effect(effect::Args),
     /// Play a recorded run through the whole chain again.
     Replay(replay::Args),
 }
@@ -90,6 +96,8 @@ pub fn main() -> ExitCode {
         Command::Emulate(args) => emulate::execute(args),
         Command::Bench(args) => bench::execute(args),
         Command::Replay(args) => replay::execute(args),
+        Command::Simulate(args) => simulate::execute(args),
+        Command::Effect(args) => effect::execute(args),
     };
     match result {
         Ok(Outcome::Done) => ExitCode::SUCCESS,

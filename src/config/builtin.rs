@@ -31,6 +31,23 @@ const BUILT_IN: &[(&str, &str, &str)] = &[
     ("rigs", "simulated", include_str!("../../config/rigs/simulated.toml")),
     ("rigs", "simulated-foldback", include_str!("../../config/rigs/simulated-foldback.toml")),
     ("rigs", "lab", include_str!("../../config/rigs/lab.toml")),
+    ("models", "andreaus-2020-b0", include_str!("../../config/models/andreaus-2020-b0.toml")),
+    ("models", "andreaus-2020-b1-g1", include_str!("../../config/models/andreaus-2020-b1-g1.toml")),
+    ("models", "andreaus-2020-b1-g2", include_str!("../../config/models/andreaus-2020-b1-g2.toml")),
+    ("models", "andreaus-2020-b1-g3", include_str!("../../config/models/andreaus-2020-b1-g3.toml")),
+    ("models", "andreaus-2020-b1-g4", include_str!("../../config/models/andreaus-2020-b1-g4.toml")),
+    ("models", "andreaus-2020-b2-g1", include_str!("../../config/models/andreaus-2020-b2-g1.toml")),
+    ("models", "andreaus-2020-b2-g2", include_str!("../../config/models/andreaus-2020-b2-g2.toml")),
+    ("models", "andreaus-2020-b2-g3", include_str!("../../config/models/andreaus-2020-b2-g3.toml")),
+    ("models", "andreaus-2020-b2-g4", include_str!("../../config/models/andreaus-2020-b2-g4.toml")),
+    ("models", "andreaus-2020-b3-g1", include_str!("../../config/models/andreaus-2020-b3-g1.toml")),
+    ("models", "andreaus-2020-b3-g2", include_str!("../../config/models/andreaus-2020-b3-g2.toml")),
+    ("models", "andreaus-2020-b3-g3", include_str!("../../config/models/andreaus-2020-b3-g3.toml")),
+    ("models", "andreaus-2020-b3-g4", include_str!("../../config/models/andreaus-2020-b3-g4.toml")),
+    ("models", "andreaus-2020-b4-g1", include_str!("../../config/models/andreaus-2020-b4-g1.toml")),
+    ("models", "andreaus-2020-b4-g2", include_str!("../../config/models/andreaus-2020-b4-g2.toml")),
+    ("models", "andreaus-2020-b4-g3", include_str!("../../config/models/andreaus-2020-b4-g3.toml")),
+    ("models", "andreaus-2020-b4-g4", include_str!("../../config/models/andreaus-2020-b4-g4.toml")),
     ("sweeps", "andreaus-2020", include_str!("../../config/sweeps/andreaus-2020.toml")),
     ("sweeps", "quick", include_str!("../../config/sweeps/quick.toml")),
     ("sweeps", "log-settled", include_str!("../../config/sweeps/log-settled.toml")),
@@ -77,10 +94,15 @@ mod tests {
     use crate::sweep::SweepSpec;
 
     #[test]
-    fn every_built_in_rig_and_sweep_is_valid() {
+    fn every_built_in_configuration_is_valid() {
         for name in names("rigs") {
             let rig: RigSpec = find("rigs", name).and_then(|source| source.parse()).expect("valid rig");
             assert_eq!(rig.name, name);
+        }
+        for name in names("models") {
+            let model: crate::model::ModelSpec =
+                find("models", name).and_then(|source| source.parse()).expect("valid model");
+            assert_eq!(model.name, name);
         }
         for name in names("sweeps") {
             let _: SweepSpec = find("sweeps", name).and_then(|source| source.parse()).expect("valid sweep");

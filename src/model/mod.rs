@@ -7,6 +7,7 @@ mod check;
 pub mod contact;
 pub mod effects;
 mod error;
+pub mod exact;
 pub mod general;
 mod keys;
 pub mod observe;
@@ -14,6 +15,7 @@ pub mod paper;
 pub mod scales;
 pub mod simulate;
 pub mod spec;
+pub mod sweep;
 pub mod system;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -23,6 +25,7 @@ pub use observe::{Observation, Observer};
 pub use scales::Scales;
 pub use simulate::{History, simulate_sampled};
 pub use spec::{BumperSpec, EffectSpec, IsolatorSpec, ModelSpec};
+pub use sweep::{StepPeaks, SweepResponse, simulate_sweep, sweep_history};
 
 /// What the specimen does at one sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -106,5 +109,8 @@ pub fn build(spec: &ModelSpec, dt_s: f64) -> Result<Box<dyn Specimen>, ModelErro
 /// # Errors
 /// As [`build`].
 pub fn build_with(spec: &ModelSpec, dt_s: f64, options: &Options) -> Result<Box<dyn Specimen>, ModelError> {
-    general::boxed(system::System::compile(spec, dt_s)?, options)
+    match exact::Exact::new(system::System::compile(spec, dt_s)?) {
+        Ok(exact) => Ok(Box::new(exact)),
+        Err(system) => general::boxed(*system, options),
+    }
 }

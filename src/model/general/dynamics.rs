@@ -1,5 +1,6 @@
 //! Rates of all states within one mode, and the forces that go with them.
 
+use super::super::Regime;
 use super::super::system::{Point, System};
 
 /// Table acceleration within one stretch of time.
@@ -93,6 +94,18 @@ pub struct Mode {
     pub joint: Joint,
     /// Direction of the isolator's motion, for terms with reversals; 0 when none has them.
     pub direction: i8,
+}
+
+impl Mode {
+    /// As responses state it.
+    pub fn regime(&self) -> Regime {
+        Regime {
+            isolator_branch: self.segment.unsigned_abs().min(255) as u8,
+            right_contact: self.contact[0],
+            left_contact: self.contact[1],
+            sticking: self.sliding == Sliding::Stick,
+        }
+    }
 }
 
 /// Forces at one instant.

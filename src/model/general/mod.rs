@@ -13,20 +13,38 @@ mod specimen;
 #[cfg(test)]
 mod tests;
 
-pub use dynamics::{Drive, Line, Sine};
+pub use dynamics::{Drive, Line, Mode, Motion, Sine, Sliding};
 pub use specimen::General;
 
 use super::system::System;
-use super::{ModelError, Options, Specimen};
+use super::{ModelError, Options, Response, Specimen};
 
 /// The largest state that a solver is compiled for.
 const LARGEST: usize = 48;
+
+/// Begin and end of an accepted step (s since the start of the stretch), contacts, and the response
+/// at any part of it.
+pub type StretchVisit<'a> = dyn FnMut(f64, f64, [bool; 2], &dyn Fn(f64) -> Response) + 'a;
+
+/// A solver that an ideal sweep can drive, whatever the number of its states.
+pub trait Sweepable: Specimen {
+    /// Advances by `duration` s under a sine from phase 0, visiting every accepted step.
+    fn stretch(&mut self, duration: f64, drive: Sine, visit: &mut StretchVisit<'_>);
+}
 
 /// Chooses the smallest solver that carries all states.
 ///
 /// # Errors
 /// [`ModelError::TooManyStates`].
 pub(super) fn boxed(system: System, options: &Options) -> Result<Box<dyn Specimen>, ModelError> {
+    Ok(swept(system, options)?)
+}
+
+/// [`boxed`], for sweeps.
+///
+/// # Errors
+/// [`ModelError::TooManyStates`].
+pub(super) fn swept(system: System, options: &Options) -> Result<Box<dyn Sweepable>, ModelError> {
     let states = 2 + system.hidden_states();
     Ok(match states {
         0..=2 => Box::new(General::<2>::new(system, options)),

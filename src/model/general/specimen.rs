@@ -1,10 +1,11 @@
 //! The stepping loop: step control, events, and the [`Specimen`] interface.
 
 use super::super::system::System;
-use super::super::{Options, Regime, Response, Specimen};
-use super::dynamics::{Drive, Forces, Joint, Layout, Line, Mode, Motion, Sliding, Tip};
+use super::super::{Options, Response, Specimen};
+use super::dynamics::{Drive, Forces, Joint, Layout, Line, Mode, Motion, Sine, Sliding, Tip};
 use super::events::{GUARDS, Guards, first_failure, guard};
 use super::runge_kutta::Step;
+use super::{StretchVisit, Sweepable};
 
 /// Events allowed within one stretch before the step is taken regardless (chatter without end).
 const PATIENCE: usize = 200;
@@ -315,13 +316,64 @@ impl<const N: usize> General<N> {
             mass_acceleration_m_s2: -forces.restoring_n / self.system.mass_kg,
             right_contact_force_n: forces.contact_n[0],
             left_contact_force_n: forces.contact_n[1],
-            regime: Regime {
-                isolator_branch: self.mode.segment.unsigned_abs().min(255) as u8,
-                right_contact: self.mode.contact[0],
-                left_contact: self.mode.contact[1],
-                sticking: self.mode.sliding == Sliding::Stick,
-            },
+            regime: self.mode.regime(),
         }
+    }
+
+    /// The compiled model.
+    pub fn system(&self) -> &System {
+        &self.system
+    }
+
+    /// The present mode.
+    pub fn mode(&self) -> &Mode {
+        &self.mode
+    }
+
+    /// The present state.
+    pub fn state(&self) -> &[f64; N] {
+        &self.y
+    }
+
+    /// Time since reset, s; within a stretch that of its beginning.
+    pub fn time_s(&self) -> f64 {
+        self.time_s
+    }
+
+    /// Table acceleration now, m/s2; `None` after an imposed motion.
+    pub fn table(&self) -> Option<f64> {
+        self.table
+    }
+
+    /// Replaces the state.
+    pub fn set_state(&mut self, y: [f64; N]) {
+        self.y = y;
+    }
+
+    /// Ends a stretch of time in this state.
+    pub fn place(&mut self, y: [f64; N], duration: f64) {
+        self.y = y;
+        self.time_s += duration;
+    }
+
+    /// First guard that fails from a time of the stretch over `rest` s, along `state(part)`.
+    pub fn failure<D: Drive>(
+        &self,
+        t: f64,
+        rest: f64,
+        drive: D,
+        state: impl Fn(f64) -> [f64; N],
+    ) -> Option<(usize, f64)> {
+        let guards = |part: f64| self.guards_at(t + part * rest, &state(part), drive, Motion::Free);
+        let (start, end) = (guards(0.0), guards(1.0));
+        let nearly = end.map(f64::is_finite);
+        first_failure(&start, &end, &nearly, guards)
+    }
+
+    /// Goes to the state where a guard failed and enters the mode that follows.
+    pub fn enter<D: Drive>(&mut self, y: [f64; N], guard: usize, t: f64, drive: D) {
+        self.y = y;
+        self.switch(guard, t, drive, Motion::Free);
     }
 
     /// Forces of a state within a step, at a time since the beginning of the stretch.
@@ -388,5 +440,19 @@ impl<const N: usize> Specimen for General<N> {
 
     fn prime(&mut self, table_acceleration_m_s2: f64) {
         self.table = Some(table_acceleration_m_s2);
+    }
+}
+
+impl<const N: usize> Sweepable for General<N> {
+    fn stretch(&mut self, duration: f64, drive: Sine, visit: &mut StretchVisit<'_>) {
+        self.advance(duration, drive, Motion::Free, &mut |solver, begin, end, step| {
+            let state = |part: f64| {
+                let y = step.at(part);
+                let forces = solver.forces_at(begin + part * (end - begin), &y, drive);
+                solver.response_of(&y, &forces)
+            };
+            visit(begin, end, solver.mode.contact, &state);
+        });
+        self.table = Some(drive.at(duration));
     }
 }
