@@ -25,7 +25,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         RecoverError::Running(_) => CliError::usage(error),
         _ => CliError::failed(error),
     })?;
-    super::run::write_report(&folder);
+    super::run::write_report(&folder, &recovered.steps);
     let manifest = &recovered.manifest;
     if args.json {
         let object = serde_json::json!({

@@ -41,7 +41,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let started = std::time::Instant::now();
     let session = session::start(plan).map_err(CliError::failed)?;
     let finished = session.wait(|_| {}).map_err(CliError::failed)?;
-    super::run::write_report(&finished.folder);
+    super::run::write_report(&finished.folder, &finished.steps);
     let wall_s = started.elapsed().as_secs_f64();
     let identical = finished.manifest.samples_sha256 == recorded.samples_sha256;
     if args.json {

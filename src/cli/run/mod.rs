@@ -11,6 +11,7 @@ use crate::control::setup::{Setup, SetupError, model_of_case};
 use crate::control::{Ending, Nrmse, StepSummary, TimingReport};
 use crate::model::ModelSpec;
 use crate::record::RunFolder;
+use crate::report::{Table, of_run};
 use crate::rig::RigSpec;
 use crate::rig::hardware::HardwareMonitor;
 use crate::sweep::SweepSpec;
@@ -126,12 +127,13 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         Some(links) => hardware::close(links, finished)?,
         None => finished,
     };
-    write_report(&finished.folder);
+    let table = write_report(&finished.folder, &finished.steps);
     let wall_s = started.elapsed().as_secs_f64();
     if args.json {
         print_json(&finished, wall_s)?;
     } else {
-        show::summary(&setup, &finished, wall_s);
+        let table = table.unwrap_or_else(|| of_run::final_table(&setup, &finished.steps).0);
+        show::summary(&setup, &finished, &table, wall_s);
     }
     match finished.ending {
         Ending::Done | Ending::Stopped => Ok(Outcome::Done),
@@ -194,7 +196,15 @@ pub(super) fn read_model(name: &str) -> Result<ModelSpec, CliError> {
 }
 
 /// Writes the report of a run; a report that fails is told and does not undo the run.
-pub(super) fn write_report(_folder: &RunFolder) {}
+pub(super) fn write_report(folder: &RunFolder, steps: &[StepSummary]) -> Option<Table> {
+    match of_run::write(folder, steps) {
+        Ok((_, table)) => Some(table),
+        Err(error) => {
+            eprintln!("no report: {error}");
+            None
+        }
+    }
+}
 
 /// A refused configuration is a usage error.
 fn refused(error: SetupError) -> CliError {

@@ -1,11 +1,11 @@
 //! What `run` shows on a terminal: preview, progress bar, end table.
 
 use crate::cli::{CliError, Outcome};
-use crate::config::published::peaks_of;
+use crate::control::Event;
 use crate::control::session::Finished;
 use crate::control::setup::Setup;
-use crate::control::{Event, StepDirection, StepSummary};
 use crate::record::recorder::Notice;
+use crate::report::Table;
 use crate::sweep::{Preview, Schedule, Step};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -80,54 +80,15 @@ impl Progress {
     }
 }
 
-/// Pseudo-resonance of one set of peaks: the forward step with the largest acceleration, and the largest
-/// acceleration and excursion of the whole sweep.
-struct Resonance {
-    frequency_hz: f64,
-    a_max_m_s2: f64,
-    excursion_m: f64,
-}
-
-fn resonance(steps: &[StepSummary], peaks: impl Fn(&StepSummary) -> (f64, f64)) -> Option<Resonance> {
-    let forward = steps.iter().filter(|step| step.direction == StepDirection::Forward);
-    let best = forward.max_by(|a, b| peaks(a).0.total_cmp(&peaks(b).0))?;
-    let highest =
-        |part: fn((f64, f64)) -> f64| steps.iter().map(|step| part(peaks(step))).fold(0.0, f64::max);
-    Some(Resonance {
-        frequency_hz: best.frequency_hz,
-        a_max_m_s2: highest(|peak| peak.0),
-        excursion_m: highest(|peak| peak.1),
-    })
-}
-
 /// The end table, the timing, the losses, and where everything is.
-pub(super) fn summary(setup: &Setup, finished: &Finished, wall_s: f64) {
+pub(super) fn summary(setup: &Setup, finished: &Finished, table: &Table, wall_s: f64) {
     let manifest = &finished.manifest;
     let outcome = manifest.state.name();
     println!("{} on {}: {outcome}", manifest.name, setup.rig.name);
     if let Some(cause) = &manifest.cause {
         println!("cause: {cause}");
     }
-    println!("\n{:<26} {:>14} {:>14} {:>11}", "", "f_R (Hz)", "A_max (m/s2)", "E_max (mm)");
-    let line = |name: &str, row: Option<Resonance>| match row {
-        Some(r) => println!(
-            "{name:<26} {:>14.2} {:>14.3} {:>11.2}",
-            r.frequency_hz,
-            r.a_max_m_s2,
-            1e3 * r.excursion_m
-        ),
-        None => println!("{name:<26} {:>14} {:>14} {:>11}", "-", "-", "-"),
-    };
-    line("measured on this table", resonance(&finished.steps, |s| (s.a_max_m_s2, s.excursion_m)));
-    line("onboard model", resonance(&finished.steps, |s| (s.model_a_max_m_s2, s.model_excursion_m)));
-    if let Some(case) = &setup.case {
-        let table_2 = peaks_of(case).map(|row| Resonance {
-            frequency_hz: row.nu_r,
-            a_max_m_s2: row.a_max_m_s2,
-            excursion_m: row.excursion_m,
-        });
-        line("paper, Table 2", table_2);
-    }
+    println!("\n{}", table.text());
     let error = finished.model_error;
     println!(
         "\nmodel error (NRMSE over all counted cycles): A {:.2} %, D {:.2} %",
