@@ -1,0 +1,132 @@
+#!/usr/bin/env python3
+"""Exports a record in every format and reads each back with an independent reader.
+
+Usage: exports.py SHAKETABLE [RECORD]       prints a line a format; exit code 1 when one is wrong.
+
+Readers: pandas and DuckDB (Parquet), pandas (CSV) and tomllib (its sidecar), h5py (HDF5, MAT v7.3), pyuff
+(UFF58). A reader that is not installed is named and counts as failed, so that nothing passes unread.
+Without RECORD a stepped sine with odd numbers in it is made.
+"""
+
+import subprocess
+import sys
+import tempfile
+import tomllib
+from pathlib import Path
+
+import numpy as np
+
+UNITS = {"time_s": "s", "table_displacement_m": "m", "table_acceleration_m_s2": "m/s2",
+         "mass_acceleration_1_m_s2": "m/s2", "mass_acceleration_2_m_s2": "m/s2",
+         "relative_displacement_m": "m", "force_n": "N", "displacement_m": "m",
+         "acceleration_m_s2": "m/s2", "step": "1"}
+
+
+def made(path: Path) -> None:
+    """Three steps with values down to 1e-300 and of 17 digits."""
+    import pandas
+    rate, random = 2048.0, np.random.default_rng(5)
+    hz = np.repeat([1.0, 1.3, 1.7], 20480)
+    phase = 2 * np.pi * np.cumsum(hz) / rate
+    n = len(hz)
+    acceleration = 0.5 * np.sin(phase)
+    relative = 0.004 * np.sin(phase - 0.7) + 1e-5 * random.standard_normal(n)
+    relative[7] = 1.2345678901234567e-300
+    pandas.DataFrame({
+        "time_s": np.arange(n) / rate,
+        "table_displacement_m": -acceleration / (2 * np.pi * hz) ** 2,
+        "table_acceleration_m_s2": acceleration,
+        "mass_acceleration_1_m_s2": acceleration - (2 * np.pi * hz) ** 2 * 0.004 * np.sin(phase - 0.7),
+        "mass_acceleration_2_m_s2": acceleration - (2 * np.pi * hz) ** 2 * 0.004 * np.sin(phase - 0.7),
+        "relative_displacement_m": relative,
+        "step": np.repeat([0, 1, 2], 20480).astype(np.int32),
+    }).to_parquet(path)
+
+
+def frame(table) -> dict:
+    return {name: np.asarray(table[name]) for name in table}
+
+
+def parquet_pandas(path: Path) -> dict:
+    import pandas
+    return frame(pandas.read_parquet(path))
+
+
+def parquet_duckdb(path: Path) -> dict:
+    import duckdb
+    return dict(duckdb.sql(f"select * from read_parquet('{path}')").fetchnumpy())
+
+
+def csv(path: Path) -> dict:
+    import pandas
+    sidecar = tomllib.loads(Path(f"{path}.toml").read_text())
+    units = {column["name"]: column["unit"] for column in sidecar["columns"]}
+    table = frame(pandas.read_csv(path, float_precision="round_trip"))
+    assert units == {name: UNITS[name] for name in table}, f"units {units}"
+    return table
+
+
+def hdf5(path: Path) -> dict:
+    import h5py
+    with h5py.File(path) as file:
+        for name, data in file.items():
+            assert name == "step" or data.attrs["unit"].decode() == UNITS[name], f"unit of {name}"
+        return {name: data[:] for name, data in file.items()}
+
+
+def mat(path: Path) -> dict:
+    import h5py
+    with h5py.File(path) as file:
+        for name in file:
+            assert "MATLAB_class" in file[name].attrs, f"{name} has no MATLAB class"
+        return {name: file[name][:].ravel() for name in file if name in UNITS}
+
+
+def uff(path: Path) -> dict:
+    import pyuff
+    sets = pyuff.UFF(str(path)).read_sets()
+    table = {one["id1"].strip(): np.asarray(one["data"]) for one in sets}
+    table["time_s"] = np.asarray(sets[0]["x"])
+    return table
+
+
+FORMATS = [("a.parquet", parquet_pandas, 0.0), ("a.parquet", parquet_duckdb, 0.0), ("a.csv", csv, 0.0),
+           ("a.h5", hdf5, 0.0), ("a.mat", mat, 0.0), ("a.uff", uff, 1e-12)]
+
+
+def main() -> int:
+    binary = sys.argv[1]
+    failed = False
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(sys.argv[2]) if len(sys.argv) > 2 else Path(folder) / "source.parquet"
+        if len(sys.argv) < 3:
+            made(source)
+        # The record as the product sees it, by a reader that is judged by the others.
+        reference = None
+        for name, reader, tolerance in FORMATS:
+            path = Path(folder) / name
+            label = f"{name.split('.')[1]} by {reader.__name__}"
+            try:
+                subprocess.run([binary, "export", source, "-o", path, "--force"], check=True, capture_output=True)
+                table = reader(path)
+                if reference is None:
+                    reference = table
+                    original = parquet_pandas(source) if source.suffix == ".parquet" else table
+                    for column in set(original) & set(table):
+                        assert np.array_equal(original[column], table[column]), f"{column} is not the source's"
+                assert set(table) == set(reference), f"columns {sorted(table)}"
+                for column, values in reference.items():
+                    other = table[column]
+                    assert len(other) == len(values), f"{column}: {len(other)} samples"
+                    # The format keeps the interval to six digits and the values to thirteen.
+                    relative = 5e-6 if column == "time_s" and tolerance else tolerance
+                    assert np.all(np.abs(other - values) <= relative * np.abs(values)), f"{column} differs"
+                print(f"{label}: {len(reference)} columns of {len(values)} equal")
+            except (AssertionError, ImportError, KeyError, subprocess.CalledProcessError) as error:
+                failed = True
+                print(f"{label}: FAILED {error}")
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
