@@ -13,6 +13,7 @@
 extern crate std;
 
 pub mod canopen;
+pub mod check;
 #[cfg(feature = "std")]
 pub mod clock;
 #[cfg(feature = "std")]

@@ -208,22 +208,34 @@ impl Setup {
         pace: Pace,
     ) -> Result<(Plan, HardwareMonitor, Preflight), SetupError> {
         self.preview()?.check()?;
-        let (schedule, model) = (self.schedule()?, self.onboard_model()?);
-        let mut manifest = self.manifest(pace)?;
         let (rig, preflight) =
             HardwareRig::open(hardware, self.rig.sample_rate_hz, Some(prioritise_link)).map_err(Box::new)?;
-        manifest.configure("preflight", text("preflight", &preflight)?);
         let monitor = rig.monitor();
-        let plan = Plan {
+        Ok((self.plan_on(rig, &preflight, out, pace)?, monitor, preflight))
+    }
+
+    /// The run on a rig of real devices that is connected and checked already.
+    ///
+    /// # Errors
+    /// [`SetupError`] when anything is refused.
+    pub fn plan_on(
+        &self,
+        rig: HardwareRig,
+        preflight: &Preflight,
+        out: &Path,
+        pace: Pace,
+    ) -> Result<Plan, SetupError> {
+        let mut manifest = self.manifest(pace)?;
+        manifest.configure("preflight", text("preflight", preflight)?);
+        Ok(Plan {
             out: out.to_owned(),
             manifest,
             rig: Box::new(rig),
-            generator: Generator::new(&schedule, self.rig.sample_rate_hz),
-            model,
+            generator: Generator::new(&self.schedule()?, self.rig.sample_rate_hz),
+            model: self.onboard_model()?,
             pace,
             depths: Depths::for_rate(self.rig.sample_rate_hz),
-        };
-        Ok((plan, monitor, preflight))
+        })
     }
 }
 

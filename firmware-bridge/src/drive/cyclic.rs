@@ -228,8 +228,9 @@ impl Cycle {
                     break;
                 }
             }
-            self.listen();
-            self.exchange(deadline_ns, periods);
+            let now_ns = deadline_ns + late_ns;
+            self.listen(now_ns);
+            self.exchange(deadline_ns, now_ns, periods);
             self.heartbeat(deadline_ns);
             add(&self.shared.cycles, 1);
             // Whole periods are skipped after a late wake-up, the phase is kept.
@@ -250,7 +251,7 @@ impl Cycle {
     }
 
     /// Takes all that has come since the last cycle.
-    fn listen(&mut self) {
+    fn listen(&mut self, now_ns: u64) {
         let node = self.settings().node;
         self.heard.inputs = false;
         loop {
@@ -265,7 +266,7 @@ impl Cycle {
                     if self.inputs.take(&frame, node) == Some(0) {
                         self.heard.inputs = true;
                     } else if let Some(state) = NodeState::from_frame(&frame, node) {
-                        self.heard.heartbeat_ns = self.clock.now_ns();
+                        self.heard.heartbeat_ns = now_ns;
                         if state != NodeState::Operational {
                             self.shared.latch(DriveFault::Restarted);
                         }
@@ -282,8 +283,8 @@ impl Cycle {
         }
     }
 
-    fn exchange(&mut self, deadline_ns: u64, periods: u64) {
-        self.watch();
+    fn exchange(&mut self, deadline_ns: u64, now_ns: u64, periods: u64) {
+        self.watch(now_ns);
         while let Some(command) = self.commands.try_pop() {
             self.latest = Some(command);
             add(&self.shared.commands, 1);
@@ -305,12 +306,12 @@ impl Cycle {
     }
 
     /// What is missing from the drive.
-    fn watch(&mut self) {
+    fn watch(&mut self, now_ns: u64) {
         self.heard.cycles_without = if self.heard.inputs { 0 } else { self.heard.cycles_without + 1 };
         if !self.heard.inputs && self.shared.cycles.load(Ordering::Relaxed) > 2 {
             add(&self.shared.missed_inputs, 1);
         }
-        let silent_ns = self.clock.now_ns().saturating_sub(self.heard.heartbeat_ns);
+        let silent_ns = now_ns.saturating_sub(self.heard.heartbeat_ns);
         let heartbeat_lost = silent_ns > 3 * self.settings().drive_heartbeat.as_nanos() as u64;
         if heartbeat_lost || self.heard.cycles_without > self.settings().missed_cycles {
             self.shared.latch(DriveFault::Silent);

@@ -28,8 +28,8 @@ pub struct DaqNode {
 }
 
 impl DaqNode {
-    /// A device that waits for requests.
-    pub fn new(vendor: u32, product: u32, serial: &str, seed: u64) -> Self {
+    /// A device that waits for requests; `rate_hz` is the one rate it can do.
+    pub fn new(vendor: u32, product: u32, serial: &str, rate_hz: f64, seed: u64) -> Self {
         let mut text = [0; 16];
         for (to, from) in text.iter_mut().zip(serial.bytes()) {
             *to = from;
@@ -54,7 +54,7 @@ impl DaqNode {
             },
             calibration,
             deframer: Deframer::new(),
-            rate_mhz: 2_048_000,
+            rate_mhz: (rate_hz * 1e3).round() as u32,
             sequence: None,
             wiring: std::array::from_fn(|i| (i, 1.0)),
             bit_error_rate: 0.0,

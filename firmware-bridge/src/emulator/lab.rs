@@ -29,6 +29,8 @@ pub struct LabSettings {
     pub daq: DaqNode,
     /// Faults by time after the drive was first enabled, s.
     pub schedule: Vec<(f64, Fault)>,
+    /// Runs first on each thread of the lab, for its scheduling: real devices do not wait for a busy machine.
+    pub on_thread: Option<fn()>,
 }
 
 /// What happened in the lab.
@@ -36,7 +38,7 @@ pub struct LabSettings {
 pub struct LabReport {
     /// Sample instants so far.
     pub samples: u64,
-    /// Instants at which the thread of the mechanics was more than a period late.
+    /// Deliveries at which the thread of the mechanics was more than a period late.
     pub late_steps: u64,
     /// State of the drive.
     pub drive: State,
@@ -107,10 +109,16 @@ impl Lab {
             faults: Mutex::new(Vec::new()),
         });
         let mut threads = Vec::new();
+        let on_thread = settings.on_thread;
         let mut spawn = |name: &str, body: Box<dyn FnOnce(&Shared) + Send>| -> std::io::Result<()> {
             let shared = Arc::clone(&shared);
             let builder = std::thread::Builder::new().name(name.into());
-            threads.push(builder.spawn(move || body(&shared))?);
+            threads.push(builder.spawn(move || {
+                if let Some(setup) = on_thread {
+                    setup();
+                }
+                body(&shared);
+            })?);
             Ok(())
         };
         let (rate_hz, schedule) = (settings.rate_hz, settings.schedule);
@@ -161,10 +169,10 @@ fn drive_thread(shared: &Shared, mut bus: CanBus) {
         // All that waits is heard before any time-out is judged: a thread that was held up must not take its
         // own lateness for the host's.
         let mut event = bus.wait(Duration::from_millis(1));
+        let now_ns = shared.clock.now_ns();
         let mut side = lock(&shared.drive);
         while let Ok(Some(heard)) = event {
             if let BusEvent::Frame(frame) = heard {
-                let now_ns = shared.clock.now_ns();
                 if frame.id == crate::canopen::cob::SYNC {
                     side.last_output_ns = now_ns;
                 }
@@ -172,7 +180,7 @@ fn drive_thread(shared: &Shared, mut bus: CanBus) {
             }
             event = bus.poll();
         }
-        side.node.tick(shared.clock.now_ns(), &mut |frame| frames.push(frame));
+        side.node.tick(now_ns, &mut |frame| frames.push(frame));
         drop(side);
         if event.is_err() {
             // The bus is gone: for a drive that is silence, which its time-outs answer.
@@ -230,48 +238,74 @@ impl DaqSide {
     }
 }
 
-fn table_thread(shared: &Shared, mut plant: Box<dyn Plant>, rate_hz: f64, mut schedule: Vec<(f64, Fault)>) {
-    let period_ns = 1e9 / rate_hz;
-    let start_ns = shared.clock.now_ns() as f64;
-    let mut enabled_at_ns = None;
-    let mut last_m = 0.0;
+/// The mechanics and the sampling. The thread wakes once in [`DELIVERY_NS`] and makes up for all instants since, as a
+/// USB serial adapter delivers what has gathered within its frame of a millisecond.
+fn table_thread(shared: &Shared, plant: Box<dyn Plant>, rate_hz: f64, mut schedule: Vec<(f64, Fault)>) {
     schedule.sort_by(|a, b| b.0.total_cmp(&a.0));
-    for n in 1_u64.. {
-        if shared.stop.load(Ordering::Acquire) {
-            return;
+    let start_ns = shared.clock.now_ns() as f64;
+    let mut table =
+        Table { plant, rate_hz, start_ns, instants: 0, last_m: 0.0, enabled_at_ns: None, schedule };
+    let mut wake_ns = start_ns as u64;
+    while !shared.stop.load(Ordering::Acquire) {
+        wake_ns += DELIVERY_NS;
+        let late_ns = shared.clock.sleep_until(wake_ns);
+        let now_ns = wake_ns + late_ns;
+        let mut side = lock(&shared.daq);
+        while table.next_instant_ns() <= now_ns as f64 {
+            table.step(shared, &mut side);
         }
-        let instant_ns = start_ns + n as f64 * period_ns;
-        let late_ns = shared.clock.sleep_until(instant_ns as u64);
+        apply_faults(shared, &mut side);
+        if !side.unsent.is_empty() {
+            side.flush();
+        }
+        drop(side);
+        let mut report = lock(&shared.report);
+        report.samples = table.instants;
+        report.late_steps += u64::from(late_ns > DELIVERY_NS);
+    }
+}
+
+/// Period of delivery, ns: a frame of full-speed USB.
+const DELIVERY_NS: u64 = 1_000_000;
+
+struct Table {
+    plant: Box<dyn Plant>,
+    rate_hz: f64,
+    start_ns: f64,
+    instants: u64,
+    last_m: f64,
+    enabled_at_ns: Option<f64>,
+    schedule: Vec<(f64, Fault)>,
+}
+
+impl Table {
+    fn next_instant_ns(&self) -> f64 {
+        self.start_ns + (self.instants + 1) as f64 * 1e9 / self.rate_hz
+    }
+
+    fn step(&mut self, shared: &Shared, daq: &mut DaqSide) {
+        let instant_ns = self.next_instant_ns();
+        self.instants += 1;
         let mut side = lock(&shared.drive);
         let demand = side.node.demand(instant_ns);
-        let values = plant.step(demand);
-        side.node.set_actual(values[0], (values[0] - last_m) * rate_hz);
-        last_m = values[0];
-        let state = side.node.state();
-        let stopped = side.node.stopped_itself_at_ns();
+        let values = self.plant.step(demand);
+        side.node.set_actual(values[0], (values[0] - self.last_m) * self.rate_hz);
+        self.last_m = values[0];
+        let (state, stopped) = (side.node.state(), side.node.stopped_itself_at_ns());
         let last_output_ns = side.last_output_ns;
         drop(side);
         if state == State::OperationEnabled {
-            enabled_at_ns.get_or_insert(instant_ns);
+            self.enabled_at_ns.get_or_insert(instant_ns);
         }
-        while let (Some(since), Some((at_s, fault))) = (enabled_at_ns, schedule.last().copied())
+        while let (Some(since), Some((at_s, fault))) = (self.enabled_at_ns, self.schedule.last().copied())
             && instant_ns - since >= at_s * 1e9
         {
             lock(&shared.faults).push(fault);
-            schedule.pop();
+            self.schedule.pop();
         }
-        let mut daq = lock(&shared.daq);
-        let DaqSide { node, unsent, .. } = &mut *daq;
-        let device_us = (n as f64 * period_ns * 1e-3) as u64;
-        node.sample(&values, device_us, unsent);
-        apply_faults(shared, &mut daq);
-        if !daq.unsent.is_empty() {
-            daq.flush();
-        }
-        drop(daq);
+        let device_us = (self.instants as f64 * 1e6 / self.rate_hz) as u64;
+        daq.node.sample(&values, device_us, &mut daq.unsent);
         let mut report = lock(&shared.report);
-        report.samples = n;
-        report.late_steps += u64::from(late_ns as f64 > period_ns);
         report.drive = state;
         report.demand = demand;
         report.stopped_itself_after_s = stopped

@@ -63,8 +63,9 @@ pub fn lab(schedule: Vec<(f64, Fault)>) -> (Lab, CanBus) {
         rate_hz: RATE_HZ,
         port_link: None,
         drive: spec(),
-        daq: DaqNode::new(0x10, 0x20, "KR-0001", 7),
+        daq: DaqNode::new(0x10, 0x20, "KR-0001", RATE_HZ, 7),
         schedule,
+        on_thread: None,
     };
     let lab = Lab::start(settings, bus, Box::new(Stiff)).expect("a lab");
     (lab, CanBus::from_socket(host.into()).expect("the host's end"))

@@ -2,6 +2,7 @@
 //! `shaketable emulate` and by the tests.
 
 use super::HardwareSpec;
+use crate::control::thread::prioritise_link;
 use crate::rig::Rig;
 use crate::rig::simulated::SimulatedRig;
 use crate::stream::{Command, Sample};
@@ -56,7 +57,8 @@ pub fn lab_settings(spec: &HardwareSpec, rate_hz: f64, seed: u64) -> LabSettings
             name: "emulated CiA 402 servo drive".into(),
             units: drive.units(),
         },
-        daq: DaqNode::new(daq.vendor.unwrap_or(0), daq.product.unwrap_or(0), serial, seed),
+        daq: DaqNode::new(daq.vendor.unwrap_or(0), daq.product.unwrap_or(0), serial, rate_hz, seed),
         schedule: Vec::new(),
+        on_thread: Some(prioritise_link),
     }
 }
