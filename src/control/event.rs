@@ -1,5 +1,6 @@
 //! What the control thread tells the rest beside the rows: slips, gaps, faults, finished steps.
 
+use super::guard::Cause;
 use super::timing::Phase;
 use crate::rig::RigFault;
 use crate::sweep::Direction;
@@ -108,6 +109,15 @@ pub enum Event {
         /// Which.
         #[serde(serialize_with = "as_text")]
         fault: RigFault,
+    },
+    /// A limit was exceeded: the first-out cause of the abort.
+    Abort {
+        /// Cycle in which it was decided.
+        cycle: u64,
+        /// Number of the last sample before.
+        sequence: u64,
+        /// Which limit.
+        cause: Cause,
     },
     /// A step of the sweep is finished.
     Step(StepSummary),

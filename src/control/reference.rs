@@ -29,6 +29,11 @@ impl References {
         self.periods += 1;
     }
 
+    /// The newest command.
+    pub fn last(&self) -> CommandPoint {
+        self.points[(self.periods.saturating_sub(1) % REMEMBERED) as usize]
+    }
+
     /// Periods that went by without a command: the generator goes on, so that the phase is kept.
     pub fn skip(&mut self, periods: u64, generator: &mut Generator) {
         let forgotten = periods.saturating_sub(REMEMBERED);

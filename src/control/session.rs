@@ -262,7 +262,8 @@ impl Session {
 /// Fills in what is known at the end.
 fn close(manifest: &mut Manifest, ending: Ending, timing: &TimingReport, recorded: &Recorded) {
     manifest.state = ending.into();
-    manifest.cause = recorded.error.clone().or(manifest.cause.take());
+    let cause = recorded.cause.map(|cause| cause.name().to_owned());
+    manifest.cause = cause.or(recorded.error.clone()).or(manifest.cause.take());
     manifest.clean = ending == Ending::Done && recorded.lost.samples == 0 && recorded.lost.events == 0;
     manifest.ended_utc = Some(crate::record::folder::now_utc());
     manifest.samples = recorded.rows;

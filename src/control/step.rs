@@ -5,7 +5,9 @@
 use super::chain::{Chain, Conditioned};
 use super::clock::{Tick, now_ns};
 use super::event::{Ending, Event};
+use super::guard::{Cause, Guard};
 use super::reference::References;
+use super::stop::StopTrajectory;
 use super::timing::{Phase, StepTimes, Timing, TimingReport};
 use crate::model::{Response, Specimen};
 use crate::rig::{Rig, RigFault};
@@ -54,6 +56,10 @@ pub struct Controller {
     chain: Chain,
     references: References,
     rows: Vec<Row>,
+    guard: Guard,
+    stop: Option<(StopTrajectory, Ending)>,
+    acceleration_limit_m_s2: f64,
+    sample_rate_hz: f64,
     timing: Timing,
     times: StepTimes,
     last_times: StepTimes,
@@ -63,6 +69,7 @@ pub struct Controller {
     last_fault: Option<RigFault>,
     tail: u64,
     ending: Option<Ending>,
+    tripped: Option<Cause>,
     now: Instant,
 }
 
@@ -84,9 +91,17 @@ impl Controller {
             phase: None,
             segment: Segment::StartRamp,
         };
-        let chain = Chain::new(parts.sample_rate_hz, parts.generator.schedule());
+        let schedule = parts.generator.schedule();
+        let amplitude = |step: &crate::sweep::Step| step.acceleration_amplitude_m_s2;
+        let acceleration_limit_m_s2 = schedule.steps().iter().map(amplitude).fold(0.0, f64::max);
+        let chain = Chain::new(parts.sample_rate_hz, schedule);
+        let guard = Guard::new(parts.rig.chain_delay_s(), parts.sample_rate_hz);
         Self {
             chain,
+            guard,
+            stop: None,
+            acceleration_limit_m_s2,
+            sample_rate_hz: parts.sample_rate_hz,
             rig: parts.rig,
             generator: parts.generator,
             model: parts.model,
@@ -102,6 +117,7 @@ impl Controller {
             last_fault: None,
             tail: 0,
             ending: None,
+            tripped: None,
             now: Instant {
                 sample: Sample::default(),
                 reference: rest,
@@ -121,6 +137,7 @@ impl Controller {
             self.decide();
             self.keep();
         }
+        self.miss(tick.periods);
         self.command();
         self.publish();
         self.finish(tick)
@@ -129,6 +146,11 @@ impl Controller {
     /// Rows that can still be published before the recorder's ring is full.
     pub fn record_room(&self) -> usize {
         self.end.record_room()
+    }
+
+    /// The newest command.
+    pub fn last_command(&self) -> Command {
+        self.references.last().command
     }
 
     /// Timing so far.
@@ -153,13 +175,25 @@ impl Controller {
             let phase = if tick.overslept_by_work { self.last_times.longest() } else { Phase::WakeUp };
             let late_us = tick.latency_ns as f64 / 1e3;
             self.end.event(Event::Slip { cycle: self.cycle, periods: skipped, late_us, phase });
-            self.references.skip(skipped, &mut self.generator);
+            if self.stop.is_some() {
+                self.skip_stopping(skipped);
+            } else {
+                self.references.skip(skipped, &mut self.generator);
+            }
             self.cycle += skipped;
         }
         for _ in 0..tick.periods {
             self.rig.advance();
         }
         self.lap(Phase::Simulate);
+    }
+
+    /// Skipped periods of a stop, which lasts 3 s at most.
+    fn skip_stopping(&mut self, periods: u64) {
+        for _ in 0..periods.min(3 * self.sample_rate_hz as u64) {
+            let point = self.next_point();
+            self.references.push(point);
+        }
     }
 
     /// Takes the oldest sample that waits.
@@ -217,11 +251,15 @@ impl Controller {
 
     /// Shows the sample to the detectors.
     fn watch(&mut self) {
+        self.tripped = self.guard.look(&self.now.sample, &self.now.reference);
         self.lap(Phase::Watch);
     }
 
-    /// Lets the supervisor decide.
+    /// Ends the run when a limit was exceeded; the first cause stays.
     fn decide(&mut self) {
+        if let Some(cause) = self.tripped.take() {
+            self.abort(cause);
+        }
         self.lap(Phase::Decide);
     }
 
@@ -244,7 +282,7 @@ impl Controller {
         while let Some(request) = self.end.request() {
             self.obey(request);
         }
-        let point = self.generator.next_point();
+        let point = self.next_point();
         self.references.push(point);
         if let Err(fault) = self.rig.write(&point.command) {
             self.fault(fault);
@@ -270,7 +308,13 @@ impl Controller {
             let error = self.chain.live_error();
             self.end.event(Event::Live { cycle: self.cycle, error });
         }
-        if self.ending.is_none() && self.generator.is_done() {
+        if let Some((trajectory, ending)) = &self.stop {
+            let ending = *ending;
+            self.tail += u64::from(trajectory.is_done());
+            if self.tail > TAIL_PERIODS {
+                self.end_run(ending);
+            }
+        } else if self.ending.is_none() && self.generator.is_done() {
             self.tail += 1;
             if self.tail > TAIL_PERIODS {
                 self.end_run(Ending::Done);
@@ -291,7 +335,53 @@ impl Controller {
         match request {
             Request::Hold => self.generator.hold_at_step_end(),
             Request::Resume => self.generator.resume(),
-            Request::Stop => self.end_run(Ending::Stopped),
+            Request::Stop => self.begin_stop(Ending::Stopped),
+        }
+    }
+
+    /// Periods without any sample are watched as well.
+    fn miss(&mut self, periods: u64) {
+        if self.rows.is_empty()
+            && let Some(cause) = self.guard.silence(periods)
+        {
+            self.abort(cause);
+        }
+    }
+
+    /// The command of this period: the sweep's, or that of the stop which has begun.
+    fn next_point(&mut self) -> CommandPoint {
+        match &mut self.stop {
+            Some((trajectory, _)) => CommandPoint {
+                command: trajectory.next_command(),
+                jerk_m_s3: 0.0,
+                phase: None,
+                segment: Segment::Done,
+            },
+            None => self.generator.next_point(),
+        }
+    }
+
+    /// Stops the table from where its command is now; a stop that has begun goes on.
+    fn begin_stop(&mut self, ending: Ending) {
+        if self.stop.is_none() && self.ending.is_none() {
+            let from = self.references.last().command;
+            let trajectory = StopTrajectory::new(from, self.acceleration_limit_m_s2, self.sample_rate_hz);
+            self.stop = Some((trajectory, ending));
+        }
+    }
+
+    fn abort(&mut self, cause: Cause) {
+        if matches!(self.stop, Some((_, Ending::Aborted))) || self.ending.is_some() {
+            return;
+        }
+        self.end.event(Event::Abort { cycle: self.cycle, sequence: self.now.sample.sequence, cause });
+        self.begin_stop(Ending::Aborted);
+        if let Some((_, ending)) = &mut self.stop {
+            *ending = Ending::Aborted;
+        }
+        // A drive that is down or out of reach must stop by itself as well.
+        if cause == Cause::DeviceStatus {
+            self.rig.quick_stop();
         }
     }
 

@@ -5,6 +5,7 @@
 use super::folder::{LossReport, RunError, RunFolder, io};
 use super::samples::{SampleWriter, chunk_rows};
 use crate::control::event::{Ending, Event, Nrmse, StepSummary};
+use crate::control::guard::Cause;
 use crate::stream::{RecorderEnd, Row};
 use crossbeam::channel::Sender;
 use std::fs::File;
@@ -44,6 +45,8 @@ pub struct Recorded {
     pub ending: Option<Ending>,
     /// Onboard model against measurement over all counted cycles.
     pub model_error: Nrmse,
+    /// First-out cause of an abort.
+    pub cause: Option<Cause>,
     /// First error in writing.
     pub error: Option<String>,
 }
@@ -229,6 +232,9 @@ impl Recorder<'_> {
                         writeln!(self.steps, "{}", steps_line(&step)).and_then(|()| self.steps.flush());
                     self.note(outcome.map_err(|error| format!("steps.csv: {error}")));
                     self.result.steps.push(step);
+                }
+                Event::Abort { cause, .. } => {
+                    self.result.cause.get_or_insert(cause);
                 }
                 Event::End { ending, error, .. } => {
                     self.result.ending = Some(ending);

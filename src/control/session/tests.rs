@@ -1,7 +1,9 @@
 use super::*;
 use crate::model::Response;
 use crate::record::samples::SampleReader;
+use crate::rig::simulated::FaultSwitches;
 use crate::rig::simulated::{SimulatedRig, SimulatedSpec};
+use crate::stream::{Command, OperatorEnd, split};
 use crate::sweep::{Schedule, SweepSpec};
 
 /// A mass that stays where the table is: enough to see the plumbing.
@@ -92,6 +94,85 @@ fn a_stop_on_request_ends_the_run_and_is_told() {
     let finished = session.wait(|_| {}).expect("ended");
     assert_eq!(finished.ending, Ending::Stopped);
     assert!(!finished.manifest.clean);
+}
+
+/// Runs in virtual time, does something to the rig or the run after two seconds, and gives the commands.
+fn disturbed(disturb: impl FnOnce(&FaultSwitches, &mut OperatorEnd<Request>)) -> (Vec<Command>, Vec<Event>) {
+    let out = tempfile::tempdir().expect("folder");
+    let mut plan = plan(out.path(), Pace::Virtual, 1, 1.0, 1.2);
+    let spec = SimulatedSpec::default();
+    let rig = SimulatedRig::new(&spec, Box::new(Rigid { a: 0.0 }), 500.0, 2048.0, 1);
+    let faults = rig.faults();
+    plan.rig = Box::new(rig);
+    let (end, mut recorder, _view, mut operator) = split::<Event, Request>(plan.depths);
+    let parts =
+        Parts { rig: plan.rig, generator: plan.generator, model: plan.model, end, sample_rate_hz: 2048.0 };
+    let mut controller = Controller::new(parts);
+    let (mut commands, mut events, mut rows) = (Vec::new(), Vec::new(), Vec::with_capacity(64));
+    let mut disturb = Some(disturb);
+    for cycle in 0.. {
+        if cycle == 4 * 2048
+            && let Some(disturb) = disturb.take()
+        {
+            disturb(&faults, &mut operator);
+        }
+        let ending = controller.step(VirtualClock.tick());
+        commands.push(controller.last_command());
+        rows.clear();
+        recorder.take_rows(&mut rows);
+        while let Some(event) = recorder.take_event() {
+            events.push(event);
+        }
+        if ending.is_some() {
+            break;
+        }
+    }
+    (commands, events)
+}
+
+/// Largest step of the commanded acceleration, as jerk, m/s3; and the last command.
+fn smoothness(commands: &[Command]) -> (f64, Command) {
+    let jerk = commands
+        .windows(2)
+        .map(|pair| (pair[1].acceleration_m_s2 - pair[0].acceleration_m_s2).abs() * 2048.0)
+        .fold(0.0, f64::max);
+    (jerk, commands.last().copied().unwrap_or_default())
+}
+
+#[test]
+fn a_stop_is_smooth_and_ends_at_rest() {
+    let (commands, events) = disturbed(|_, operator| operator.ask(Request::Stop).expect("room"));
+    let (jerk, last) = smoothness(&commands);
+    assert!(jerk < 61.0, "{jerk} m/s3");
+    assert!(last.velocity_m_s.abs() < 1e-9 && last.acceleration_m_s2.abs() < 1e-9, "{last:?}");
+    assert!(commands.len() < 4 * 2048 + 2 * 2048, "{} periods", commands.len());
+    assert!(matches!(events.last(), Some(Event::End { ending: Ending::Stopped, .. })));
+}
+
+#[test]
+fn faults_of_the_rig_abort_with_their_cause_and_a_smooth_command() {
+    use crate::rig::simulated::{Channel, Fault};
+    let expected = [
+        (Fault::Dropout, "stale-sample", 105),
+        (Fault::DriveTrip, "device-status", 4),
+        (Fault::BusOff, "device-status", 4),
+        (Fault::NotANumber(Channel::RelativeDisplacement), "not-a-number", 4),
+        (Fault::FrozenFeedback, "following-error", 40),
+    ];
+    for (fault, cause, periods) in expected {
+        let (commands, events) = disturbed(|faults, _| faults.set(fault, true));
+        let told = events.iter().find_map(|event| match event {
+            Event::Abort { cycle, cause, .. } => Some((*cycle, cause.name())),
+            _ => None,
+        });
+        let (cycle, name) = told.expect("aborted");
+        assert_eq!(name, cause, "{fault:?}");
+        assert!(cycle <= 4 * 2048 + periods, "{fault:?}: {cycle}");
+        let (jerk, last) = smoothness(&commands);
+        assert!(jerk < 61.0, "{fault:?}: {jerk} m/s3");
+        assert!(last.velocity_m_s.abs() < 1e-9, "{fault:?}: {last:?}");
+        assert!(matches!(events.last(), Some(Event::End { ending: Ending::Aborted, .. })), "{fault:?}");
+    }
 }
 
 #[test]
