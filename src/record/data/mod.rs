@@ -13,6 +13,8 @@ mod roles;
 mod steps;
 #[cfg(test)]
 mod tests;
+#[cfg(feature = "parquet")]
+mod tree;
 mod uff58;
 mod uniform;
 
@@ -20,6 +22,8 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 pub use roles::{Mapping, Role};
+#[cfg(feature = "parquet")]
+pub use tree::add_run;
 
 /// Why a data file could not be read or written.
 #[derive(Debug, thiserror::Error)]

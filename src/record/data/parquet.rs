@@ -1,9 +1,9 @@
 //! Apache Parquet through its column interface.
 
 use super::{Columns, DataError, Record, format, io};
-use ::parquet::basic::{Compression, Type as Physical, ZstdLevel};
+use ::parquet::basic::{Compression, LogicalType, Repetition, Type as Physical, ZstdLevel};
 use ::parquet::column::reader::{ColumnReader, ColumnReaderImpl};
-use ::parquet::data_type::{DataType, DoubleType, Int32Type};
+use ::parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int32Type};
 use ::parquet::errors::ParquetError;
 use ::parquet::file::properties::{EnabledStatistics, WriterProperties};
 use ::parquet::file::reader::{FileReader, SerializedFileReader};
@@ -82,25 +82,43 @@ fn take<T: DataType>(
     }
 }
 
-/// Writes all channels as doubles and the step as 32-bit integers, Zstandard-compressed.
-pub(super) fn write(record: &Record, path: &Path) -> Result<(), DataError> {
-    let file = std::fs::File::create(path).map_err(io(path))?;
-    write_to(record, file).map_err(|error| format(path)(&error))
+/// One column to be written.
+pub(super) enum Column<'a> {
+    /// Doubles.
+    Doubles(&'a [f64]),
+    /// 32-bit integers.
+    Integers(&'a [i32]),
+    /// UTF-8 text.
+    Texts(&'a [ByteArray]),
 }
 
-fn write_to(record: &Record, file: std::fs::File) -> Result<(), ParquetError> {
-    let channels: Vec<_> = record.channels().collect();
-    let field = |name: &str, physical| {
-        let field = Type::primitive_type_builder(name, physical);
-        field.with_repetition(::parquet::basic::Repetition::REQUIRED).build().map(Arc::new)
-    };
-    let mut fields = channels
-        .iter()
-        .map(|(role, _)| field(role.name(), Physical::DOUBLE))
-        .collect::<Result<Vec<_>, _>>()?;
+/// Writes all channels as doubles and the step as 32-bit integers, Zstandard-compressed.
+pub(super) fn write(record: &Record, path: &Path) -> Result<(), DataError> {
+    let mut columns: Vec<(&str, Column)> =
+        record.channels().map(|(role, values)| (role.name(), Column::Doubles(values))).collect();
     if !record.step.is_empty() {
-        fields.push(field("step", Physical::INT32)?);
+        columns.push(("step", Column::Integers(&record.step)));
     }
+    write_columns(&columns, record.len(), path)
+}
+
+/// Writes named columns, all of `length` rows.
+pub(super) fn write_columns(columns: &[(&str, Column)], length: usize, path: &Path) -> Result<(), DataError> {
+    let file = std::fs::File::create(path).map_err(io(path))?;
+    write_to(columns, length, file).map_err(|error| format(path)(&error))
+}
+
+fn write_to(columns: &[(&str, Column)], length: usize, file: std::fs::File) -> Result<(), ParquetError> {
+    let field = |(name, column): &(&str, Column)| {
+        let (physical, logical) = match column {
+            Column::Doubles(_) => (Physical::DOUBLE, None),
+            Column::Integers(_) => (Physical::INT32, None),
+            Column::Texts(_) => (Physical::BYTE_ARRAY, Some(LogicalType::String)),
+        };
+        let field = Type::primitive_type_builder(name, physical).with_logical_type(logical);
+        field.with_repetition(Repetition::REQUIRED).build().map(Arc::new)
+    };
+    let fields = columns.iter().map(field).collect::<Result<Vec<_>, _>>()?;
     let schema = Arc::new(Type::group_type_builder("record").with_fields(fields).build()?);
     // Measured numbers hardly repeat: a dictionary only costs time.
     let properties = WriterProperties::builder()
@@ -109,20 +127,22 @@ fn write_to(record: &Record, file: std::fs::File) -> Result<(), ParquetError> {
         .set_statistics_enabled(EnabledStatistics::Chunk)
         .build();
     let mut writer = SerializedFileWriter::new(file, schema, Arc::new(properties))?;
-    let length = record.len();
     for start in (0..length).step_by(GROUP) {
         let rows = start..(start + GROUP).min(length);
         let mut group = writer.next_row_group()?;
-        for (_, values) in &channels {
-            if let Some(mut column) = group.next_column()? {
-                column.typed::<DoubleType>().write_batch(&values[rows.clone()], None, None)?;
-                column.close()?;
-            }
-        }
-        if !record.step.is_empty()
-            && let Some(mut column) = group.next_column()?
-        {
-            column.typed::<Int32Type>().write_batch(&record.step[rows], None, None)?;
+        for (_, values) in columns {
+            let Some(mut column) = group.next_column()? else { break };
+            match values {
+                Column::Doubles(v) => {
+                    column.typed::<DoubleType>().write_batch(&v[rows.clone()], None, None)?
+                }
+                Column::Integers(v) => {
+                    column.typed::<Int32Type>().write_batch(&v[rows.clone()], None, None)?
+                }
+                Column::Texts(v) => {
+                    column.typed::<ByteArrayType>().write_batch(&v[rows.clone()], None, None)?
+                }
+            };
             column.close()?;
         }
         group.close()?;
