@@ -13,6 +13,7 @@ mod keys;
 pub mod observe;
 pub mod paper;
 pub mod scales;
+pub mod sensitivity;
 pub mod simulate;
 pub mod spec;
 pub mod sweep;
@@ -23,7 +24,8 @@ pub(crate) mod testing;
 pub use error::ModelError;
 pub use observe::{Observation, Observer};
 pub use scales::Scales;
-pub use simulate::{History, simulate_sampled};
+pub use sensitivity::{Sensitivity, simulate_with_sensitivities};
+pub use simulate::{History, simulate_from, simulate_sampled};
 pub use spec::{BumperSpec, EffectSpec, IsolatorSpec, ModelSpec};
 pub use sweep::{StepPeaks, SweepResponse, simulate_sweep, sweep_history};
 

@@ -64,7 +64,24 @@ pub fn simulate_sampled(
     dt_s: f64,
     table_acceleration_m_s2: &[f64],
 ) -> Result<History, ModelError> {
+    simulate_from(spec, dt_s, table_acceleration_m_s2, None)
+}
+
+/// [`simulate_sampled`] from an initial D (m) and D' (m/s), the table acceleration held before its
+/// first value; from rest without.
+///
+/// # Errors
+/// [`ModelError`] as [`build`].
+pub fn simulate_from(
+    spec: &ModelSpec,
+    dt_s: f64,
+    table_acceleration_m_s2: &[f64],
+    initial: Option<(f64, f64)>,
+) -> Result<History, ModelError> {
     let mut specimen = build(spec, dt_s)?;
+    if let Some((displacement_m, velocity_m_s)) = initial {
+        specimen.impose(displacement_m, velocity_m_s);
+    }
     let mut history = History::with_capacity(table_acceleration_m_s2.len());
     for a in table_acceleration_m_s2 {
         history.push(&specimen.step(*a));

@@ -177,21 +177,25 @@ fn run_exact(exact: &mut Exact, plan: &Plan<'_>, visit: &mut Visit<'_>) -> Sweep
     let mut waves = exact.waves(TAU * plan.steps[0].frequency_hz);
     account.sample(0.0, 0.0, &exact.respond(0.0));
     let mut index = 0;
+    let mut wave = wave_at(0, 0.0);
+    let mut turn = (TAU * plan.steps[0].frequency_hz * plan.dt).sin_cos();
     for n in 0..plan.samples() - 1 {
         let (start, end) = (n as f64 * plan.dt, (n + 1) as f64 * plan.dt);
-        let wave = wave_at(index, start - plan.starts[index]);
         let border = plan.end_of(index);
         if end >= border && index + 1 < plan.steps.len() {
             index += 1;
             exact.split_sample(wave, wave_at(index, 0.0), border - start);
             waves = exact.waves(TAU * plan.steps[index].frequency_hz);
+            turn = (TAU * plan.steps[index].frequency_hz * plan.dt).sin_cos();
             account.enter(index, plan);
+            wave = wave_at(index, end - plan.starts[index]);
         } else {
             exact.wave_sample(&waves, wave);
+            // Turned from sample to sample, and set afresh before rounding adds up.
+            wave = if n % 32 == 0 { wave_at(index, end - plan.starts[index]) } else { wave.turned(turn) };
         }
-        let table = wave_at(index, end - plan.starts[index]).value;
         account.count(exact.contacts());
-        account.sample(end, table, &exact.respond(table));
+        account.sample(end, wave.value, &exact.respond(wave.value));
     }
     account.response
 }

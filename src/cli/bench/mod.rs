@@ -2,6 +2,7 @@
 //! `cyclictest`, and the highest rate at which it keeps up.
 
 mod cyclictest;
+mod model;
 mod wall;
 
 use super::{CliError, Outcome};
@@ -25,6 +26,8 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
+    /// The specimen model: a sweep with histories, with peaks only, sampled input, the general solver.
+    Model,
     /// Time of one control step with filters, model, detectors and demodulation on.
     Control {
         /// Control steps that are timed.
@@ -58,6 +61,7 @@ enum What {
 /// A run that cannot be set up.
 pub fn execute(args: Args) -> Result<Outcome, CliError> {
     match &args.what {
+        What::Model => model::execute(args.json),
         What::Control { steps, case } => control(*steps, case, args.json),
         What::Latency { wall, rate } => wall::latency(wall, *rate, args.json),
         What::Rate { wall, rates } => wall::rates(wall, rates, args.json),

@@ -36,6 +36,18 @@ pub struct Wave {
     pub angular_frequency: f64,
 }
 
+impl Wave {
+    /// The wave one sample later; `turn` is sine and cosine of w h.
+    #[inline]
+    pub fn turned(self, (sin, cos): (f64, f64)) -> Self {
+        Self {
+            value: self.value * cos + self.quadrature * sin,
+            quadrature: self.quadrature * cos - self.value * sin,
+            ..self
+        }
+    }
+}
+
 impl Input for Wave {
     fn series(&self, time_s: f64) -> [f64; TERMS] {
         let (sin, cos) = (self.angular_frequency * time_s).sin_cos();

@@ -175,7 +175,8 @@ impl Exact {
 
     /// Advances one sample within one step of an ideal sweep, or across the end of one.
     pub(in crate::model) fn wave_sample(&mut self, waves: &[Transition], wave: Wave) {
-        let end = Input::at(&wave, self.dt);
+        // The end matters only while friction holds.
+        let end = if self.friction { Input::at(&wave, self.dt) } else { 0.0 };
         self.sample(waves, (wave.value, wave.quadrature), wave, end);
     }
 

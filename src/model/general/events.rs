@@ -167,12 +167,13 @@ fn late_start(index: usize, low: f64, high: f64, armed: bool, values: &mut impl 
 fn root(index: usize, above: (f64, f64), below: (f64, f64), values: &mut impl FnMut(f64) -> Guards) -> f64 {
     let ((mut a, mut fa), (mut b, mut fb)) = (above, below);
     let mut side = 0_i8;
-    for _ in 0..60 {
+    for round in 0..200 {
         if (b - a).abs() <= 4.0 * f64::EPSILON || fa <= 0.0 {
             break;
         }
         let secant = a + (b - a) * fa / (fa - fb);
-        let part = if secant > a && secant < b { secant } else { 0.5 * (a + b) };
+        // Every third point halves the bracket: where a value is rounding alone, false position stalls.
+        let part = if round % 3 < 2 && secant > a && secant < b { secant } else { 0.5 * (a + b) };
         let value = values(part)[index];
         if value > 0.0 {
             (a, fa) = (part, value);
