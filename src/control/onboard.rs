@@ -43,4 +43,8 @@ impl Specimen for Observed {
     fn prime(&mut self, table_acceleration_m_s2: f64) {
         self.specimen.prime(table_acceleration_m_s2);
     }
+
+    fn set_time_s(&mut self, time_s: f64) {
+        self.specimen.set_time_s(time_s);
+    }
 }

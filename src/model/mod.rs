@@ -83,6 +83,11 @@ pub trait Specimen: Send {
     /// [`Specimen::step`] runs: 0 after a reset, held at its next value after
     /// [`Specimen::impose`] unless stated here.
     fn prime(&mut self, _table_acceleration_m_s2: f64) {}
+
+    /// States the present time (s since the beginning of the test; 0 after a reset), on which
+    /// `stiffness-degradation` and expressions in `t` depend: for a simulation that starts in the
+    /// middle of a record. Nothing else changes.
+    fn set_time_s(&mut self, _time_s: f64) {}
 }
 
 /// How the general solver works.

@@ -310,4 +310,8 @@ impl Specimen for Exact {
     fn prime(&mut self, table_acceleration_m_s2: f64) {
         self.core.prime(table_acceleration_m_s2);
     }
+
+    fn set_time_s(&mut self, time_s: f64) {
+        self.core.set_time_s(time_s);
+    }
 }

@@ -441,6 +441,13 @@ impl<const N: usize> Specimen for General<N> {
     fn prime(&mut self, table_acceleration_m_s2: f64) {
         self.table = Some(table_acceleration_m_s2);
     }
+
+    fn set_time_s(&mut self, time_s: f64) {
+        // Free tips have come back as far as before.
+        let shift = time_s - self.time_s;
+        self.mode.tips.iter_mut().for_each(|tip| tip.since_s += shift);
+        self.time_s = time_s;
+    }
 }
 
 impl<const N: usize> Sweepable for General<N> {

@@ -57,3 +57,30 @@ fn imposing_the_simulated_motion_returns_the_simulated_force() {
         }
     }
 }
+
+#[test]
+fn a_start_in_the_middle_of_a_record_goes_on_at_its_time() {
+    let mut spec = oscillator(500.0, 20e3, 1100.0);
+    spec.effects.push(effect("stiffness-degradation", &[("delta", 0.3), ("tau_s", 5.0)]));
+    let mut drift = effect("expression", &[("f_n", 40.0)]);
+    drift.expression = Some("f_n*sin(0.7*t)".into());
+    spec.effects.push(drift);
+    let table: Vec<f64> = (0..20_480).map(|i| 0.5 * (TAU * f64::from(i) * DT).sin()).collect();
+    let mut whole = build(&spec, DT).expect("builds");
+    let responses: Vec<_> = table.iter().map(|a| whole.step(*a)).collect();
+    let middle = 10_000;
+    let (mut late, mut wrong) = (build(&spec, DT).expect("builds"), build(&spec, DT).expect("builds"));
+    let start = responses[middle];
+    for specimen in [&mut late, &mut wrong] {
+        specimen.impose(start.relative_displacement_m, start.relative_velocity_m_s);
+        specimen.prime(table[middle]);
+    }
+    late.set_time_s((middle + 1) as f64 * DT);
+    let mut apart = 0.0_f64;
+    for i in middle + 1..table.len() {
+        let expected = responses[i].relative_displacement_m;
+        assert!((late.step(table[i]).relative_displacement_m - expected).abs() < 1e-9, "{i}");
+        apart = apart.max((wrong.step(table[i]).relative_displacement_m - expected).abs());
+    }
+    assert!(apart > 1e-4, "the time made no difference: {apart} m");
+}
