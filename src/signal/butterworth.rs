@@ -10,16 +10,16 @@ use std::f64::consts::{FRAC_PI_4, PI, TAU};
 
 /// One second-order section, transposed direct form II.
 #[derive(Clone, Copy, Debug, Default)]
-struct Section {
+pub(super) struct Section {
     /// Numerator, powers 0, -1, -2 of z.
-    b: [f64; 3],
+    pub(super) b: [f64; 3],
     /// Denominator, powers -1, -2 of z (that of 0 is 1).
-    a: [f64; 2],
-    state: [f64; 2],
+    pub(super) a: [f64; 2],
+    pub(super) state: [f64; 2],
 }
 
 impl Section {
-    fn process(&mut self, x: f64) -> f64 {
+    pub(super) fn process(&mut self, x: f64) -> f64 {
         let y = self.b[0] * x + self.state[0];
         self.state[0] = self.b[1] * x - self.a[0] * y + self.state[1];
         self.state[1] = self.b[2] * x - self.a[1] * y;

@@ -6,10 +6,12 @@
 
 mod analyzer;
 mod butterworth;
+mod low_pass;
 mod offline;
 
 pub use analyzer::{ChannelResult, CyclePlace, HARMONICS, Harmonic, MAX_CYCLES, StepAnalyzer, StepResult};
 pub use butterworth::{BandPass, FilterBank};
+pub use low_pass::LowPass;
 pub use offline::{RecordStep, analyse_record, band_pass, fundamental_hz};
 
 /// Lower corner of the paper's band-pass, Hz (Andreaus and De Angelis 2020).
