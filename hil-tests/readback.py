@@ -4,7 +4,7 @@
 Usage: readback.py RUN [RUN ...]        prints a line a run; exit code 1 when one is wrong.
 
 Checked: the columns, time against number, that numbers rise and every jump is a gap record of
-events.jsonl, the hash of all rows and the hash chain, and the counts in run.toml. A run whose process
+events.jsonl, the hash chain over the rows and the hash of the events, and the counts in run.toml. A run whose process
 was killed (its run.toml still says running) is checked as far as its samples go.
 """
 
@@ -24,6 +24,7 @@ COLUMNS = [
     "model_displacement_m", "model_acceleration_m_s2", "step", "status", "flags", "lost_before",
 ]
 LINK_ROWS = 2048
+MOST_APPENDED = 16 * 512 + LINK_ROWS
 
 
 def check(run: Path) -> dict:
@@ -49,17 +50,27 @@ def check(run: Path) -> dict:
     for at in np.flatnonzero(jumps != 1):
         after = int(rows["sequence"][at])
         expect(gaps.get(after) == int(jumps[at]) - 1, f"gap after {after} has no record")
-    digest = hashlib.sha256()
-    links = dict(line.split() for line in (run / "integrity.txt").read_text().splitlines() if len(line.split()) == 2)
-    for start in range(0, len(rows), LINK_ROWS):
-        block = rows[start:start + LINK_ROWS]
-        digest.update(block.tobytes())
-        count = start + len(block)
-        if len(block) == LINK_ROWS and str(count) in links:
-            expect(links[str(count)] == digest.hexdigest(), f"hash chain breaks before row {count}")
+    links = {}
+    for line in (run / "integrity.txt").read_text().splitlines():
+        words = line.split()
+        if len(words) == 3 and len(words[2]) == 64:
+            links[int(words[0])] = words[1:]
+    chain = bytes(32)
+    for start in range(0, max(len(rows), 1), LINK_ROWS):
+        block = hashlib.sha256(rows[start:start + LINK_ROWS].tobytes())
+        chain = hashlib.sha256(chain + block.digest()).digest()
+        end = min(start + LINK_ROWS, len(rows))
+        if end in links:
+            expect(links[end] == [block.hexdigest(), chain.hex()], f"hash chain breaks before row {end}")
+        else:
+            # The links of the rows appended last may be under way when the process dies.
+            expect(not finished and end > len(rows) - MOST_APPENDED, f"no link of the hash chain at row {end}")
+    expect(max(links, default=0) <= len(rows), "the hash chain goes on behind the last row")
     if finished:
         expect(manifest["samples"] == len(rows), f"run.toml says {manifest['samples']} samples")
-        expect(manifest.get("samples_sha256") == digest.hexdigest(), "the hash of all rows differs")
+        expect(manifest.get("samples_sha256") == chain.hex(), "the hash of all rows differs")
+        events_bytes = (run / "events.jsonl").read_bytes()[:manifest["events_bytes"]]
+        expect(manifest["events_sha256"] == hashlib.sha256(events_bytes).hexdigest(), "the events differ")
         # Losses after the last row leave no jump; the gap record without an end tells them.
         tail = sum(e["missing"] for e in events if e["event"] == "gap" and e["before"] is None)
         head = sum(e["missing"] for e in events if e["event"] == "gap" and e["after"] is None and e["before"] is not None)

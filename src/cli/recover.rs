@@ -36,6 +36,8 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
             "steps": recovered.steps,
             "error": recovered.error,
             "damage": recovered.damage,
+            "rows_differing": recovered.differing,
+            "recovered": manifest.recovered,
         });
         println!("{object}");
         return Ok(Outcome::Done);
@@ -48,8 +50,8 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         manifest.lost.samples,
         recovered.steps.len()
     );
-    if let Some(damage) = &recovered.damage {
-        println!("reading stopped early: {damage}");
+    if let Some(said) = &manifest.recovered {
+        println!("{said}");
     }
     println!("run folder: {}", folder.path().display());
     Ok(Outcome::Done)

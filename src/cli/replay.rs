@@ -4,7 +4,7 @@ use super::{CliError, Outcome};
 use crate::control::session;
 use crate::control::setup::Setup;
 use crate::record::RunFolder;
-use crate::record::recover::readable_rows;
+use crate::record::salvage::readable_rows;
 use std::path::PathBuf;
 
 /// Play a recorded run through filters, model and detectors again.

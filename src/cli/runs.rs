@@ -2,7 +2,7 @@
 
 use super::{CliError, Outcome};
 use crate::record::folder::list;
-use crate::record::recover::verify;
+use crate::record::verify::{Verdict, verify};
 use crate::record::{RunFolder, RunState};
 use std::path::PathBuf;
 
@@ -83,17 +83,40 @@ fn list_runs(args: &Args) -> Result<Outcome, CliError> {
 
 fn verify_run(run: &std::path::Path, json: bool) -> Result<Outcome, CliError> {
     let folder = RunFolder::open(run).map_err(CliError::usage)?;
-    let (good, rows) = verify(&folder).map_err(CliError::failed)?;
+    let verdict = verify(&folder).map_err(CliError::failed)?;
     if json {
-        println!("{}", serde_json::json!({ "rows": rows, "rows_verified": good, "intact": good == rows }));
-    } else if good == rows {
-        println!("{rows} rows agree with their hashes");
+        println!("{}", serde_json::to_string(&verdict).map_err(CliError::failed)?);
     }
-    if good == rows {
+    let Verdict { rows, rows_verified, rows_unlinked, .. } = verdict;
+    if verdict.intact {
+        if !json {
+            println!("{rows_verified} rows agree with their hashes");
+        }
+        if rows_unlinked > 0 {
+            eprintln!(
+                "the last {rows_unlinked} rows of this interrupted run have no hash yet; \
+                 `shaketable recover` closes it"
+            );
+        }
         return Ok(Outcome::Done);
     }
+    let mut wrong = Vec::new();
+    for (first, end) in &verdict.broken {
+        wrong.push(format!("rows {first} to {} differ from what was written", end - 1));
+    }
+    if verdict.rows_missing > 0 {
+        wrong.push(format!("{} rows are missing at the end", verdict.rows_missing));
+    }
+    if verdict.events_intact == Some(false) {
+        wrong.push("events.jsonl differs from what was written".to_owned());
+    }
+    wrong.extend(verdict.damage);
+    if wrong.is_empty() {
+        wrong.push("integrity.txt and run.toml do not belong together".to_owned());
+    }
     Err(CliError::failed(format!(
-        "{}: only the first {good} of {rows} rows agree with their hashes",
-        run.display()
+        "{}: {rows_verified} of {rows} rows agree with their hashes; {}",
+        run.display(),
+        wrong.join("; ")
     )))
 }

@@ -8,7 +8,7 @@ use super::step::{Controller, Parts, Request};
 use super::thread::{RealTime, release_memory, set_up};
 use super::timing::TimingReport;
 use crate::model::Specimen;
-use crate::record::recorder::{Notice, Recorded, record};
+use crate::record::recorder::{Notice, Recorded, Recorder};
 use crate::record::{Manifest, RunError, RunFolder};
 use crate::rig::Rig;
 use crate::stream::{Depths, OperatorEnd, ViewEnd, split};
@@ -78,7 +78,7 @@ pub struct Session {
     operator: OperatorEnd<Request>,
     view: Option<ViewEnd>,
     control: JoinHandle<(Ending, TimingReport)>,
-    recorder: JoinHandle<Result<Recorded, RunError>>,
+    recorder: JoinHandle<Recorded>,
 }
 
 /// A run that is over.
@@ -105,11 +105,11 @@ pub struct Finished {
 /// has not been commanded then.
 pub fn start(plan: Plan) -> Result<Session, SessionError> {
     let mut manifest = plan.manifest;
-    let (end, recorder_end, view, operator) = split(plan.depths);
+    let (end, recorder_end, view, operator) = split::<Event, Request>(plan.depths);
     let folder = RunFolder::create(&plan.out, &manifest.name)?;
     let rate = manifest.sample_rate_hz;
     let (tell, notices) = unbounded();
-    let recorder = spawn_recorder(RunFolder::open_path(folder.path()), recorder_end, rate, tell)?;
+    let recorder = spawn_recorder(Recorder::create(&folder, recorder_end, rate, tell)?)?;
     let parts =
         Parts { rig: plan.rig, generator: plan.generator, model: plan.model, end, sample_rate_hz: rate };
     let (ready, readiness) = bounded(1);
@@ -129,15 +129,10 @@ pub fn start(plan: Plan) -> Result<Session, SessionError> {
     Ok(Session { folder, manifest, notices, operator, view: Some(view), control, recorder })
 }
 
-fn spawn_recorder(
-    folder: RunFolder,
-    end: crate::stream::RecorderEnd<Event>,
-    sample_rate_hz: f64,
-    tell: Sender<Notice>,
-) -> Result<JoinHandle<Result<Recorded, RunError>>, SessionError> {
+fn spawn_recorder(recorder: Recorder) -> Result<JoinHandle<Recorded>, SessionError> {
     std::thread::Builder::new()
         .name("recorder".into())
-        .spawn(move || record(&folder, end, sample_rate_hz, &tell))
+        .spawn(move || recorder.record())
         .map_err(SessionError::Thread)
 }
 
@@ -243,10 +238,11 @@ impl Session {
             show(&notice);
         }
         let (ending, timing) = self.control.join().map_err(|_| SessionError::Died("control"))?;
-        let recorded = self.recorder.join().map_err(|_| SessionError::Died("recorder"))??;
+        let recorded = self.recorder.join().map_err(|_| SessionError::Died("recorder"))?;
         let ending = if recorded.error.is_some() { Ending::Failed } else { ending };
         let mut manifest = self.manifest;
         close(&mut manifest, ending, &timing, &recorded);
+        self.folder.seal_events(&mut manifest)?;
         self.folder.write_manifest(&manifest)?;
         Ok(Finished {
             folder: self.folder,

@@ -6,6 +6,7 @@ use crate::control::thread::RealTime;
 use crate::control::timing::TimingReport;
 use serde::{Deserialize, Serialize};
 use std::fs::{self, File};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Version of the run folder's layout.
@@ -93,6 +94,9 @@ pub struct LossReport {
     pub ring: u64,
     /// Of these, never delivered by the DAQ.
     pub daq: u64,
+    /// Of these, refused by the disk.
+    #[serde(default)]
+    pub disk: u64,
     /// Events dropped because their ring was full.
     pub events: u64,
     /// Rows that the live view missed (allowed).
@@ -132,9 +136,18 @@ pub struct Manifest {
     pub case: Option<String>,
     /// Rows in `samples.h5`.
     pub samples: u64,
-    /// SHA-256 of all rows.
+    /// Hash chain over all rows, as in the last line of `integrity.txt`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub samples_sha256: Option<String>,
+    /// Length of `events.jsonl` at the end of the run, bytes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub events_bytes: Option<u64>,
+    /// SHA-256 of these bytes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub events_sha256: Option<String>,
+    /// What `recover` found wrong and did.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recovered: Option<String>,
     /// What was lost.
     #[serde(default)]
     pub lost: LossReport,
@@ -178,6 +191,9 @@ impl Manifest {
             case: None,
             samples: 0,
             samples_sha256: None,
+            events_bytes: None,
+            events_sha256: None,
+            recovered: None,
             lost: LossReport::default(),
             real_time: None,
             timing: None,
@@ -222,11 +238,6 @@ impl RunFolder {
         Ok(Self { path, _lock: Some(lock) })
     }
 
-    /// The same folder for a second thread of the run, without its lock.
-    pub(crate) fn open_path(path: &Path) -> Self {
-        Self { path: path.to_owned(), _lock: None }
-    }
-
     /// Opens an existing folder for reading.
     ///
     /// # Errors
@@ -257,9 +268,14 @@ impl RunFolder {
         self.path.join("steps.csv")
     }
 
-    /// `integrity.txt`: rows and hash of everything up to there, a line a chunk.
+    /// `integrity.txt`: the hash chain, a line a block (see [`super::chain`]).
     pub fn integrity(&self) -> PathBuf {
         self.path.join("integrity.txt")
+    }
+
+    /// Room kept on the disk while the run goes on.
+    pub fn reserves(&self) -> [PathBuf; 2] {
+        [".reserve-stop", ".reserve-end"].map(|name| self.path.join(name))
     }
 
     /// `report.html`.
@@ -286,8 +302,24 @@ impl RunFolder {
         let text = toml::to_string(manifest)
             .map_err(|error| RunError::Manifest { path: path.clone(), reason: error.to_string() })?;
         let new = self.path.join(".run.toml.new");
-        fs::write(&new, text).map_err(io(&new))?;
-        fs::rename(&new, &path).map_err(io(&path))
+        let mut file = File::create(&new).map_err(io(&new))?;
+        // On the disk before it takes the old one's name, or a power cut could leave an empty file.
+        file.write_all(text.as_bytes()).and_then(|()| file.sync_all()).map_err(io(&new))?;
+        fs::rename(&new, &path).map_err(io(&path))?;
+        File::open(&self.path).and_then(|folder| folder.sync_all()).map_err(io(&self.path))
+    }
+
+    /// Keeps length and hash of `events.jsonl` as it stands.
+    ///
+    /// # Errors
+    /// [`RunError::Io`].
+    pub fn seal_events(&self, manifest: &mut Manifest) -> Result<(), RunError> {
+        use sha2::Digest;
+        let path = self.events();
+        let events = fs::read(&path).map_err(io(&path))?;
+        manifest.events_bytes = Some(events.len() as u64);
+        manifest.events_sha256 = Some(super::samples::hex(&sha2::Sha256::digest(&events)));
+        Ok(())
     }
 
     /// How the run stands: one that calls itself running while nobody holds its lock was interrupted.

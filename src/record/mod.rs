@@ -1,5 +1,6 @@
 //! Run folders and data files: writing, recovering, reading, importing, exporting.
 
+pub mod chain;
 pub mod data;
 pub mod folder;
 mod kinematic;
@@ -7,7 +8,9 @@ pub mod quality;
 pub mod read;
 pub mod recorder;
 pub mod recover;
+pub mod salvage;
 pub mod samples;
+pub mod verify;
 
 pub use data::{Kind, Record};
 pub use folder::{LossReport, Manifest, RunError, RunFolder, RunState};

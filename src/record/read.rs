@@ -2,7 +2,7 @@
 
 use super::data::{Kind, Record};
 use super::folder::{RunError, RunFolder};
-use super::recover::readable_rows;
+use super::salvage::readable_rows;
 use std::path::Path;
 
 /// Reads the samples of a run, finished or interrupted. Samples that were lost are filled in by
@@ -94,7 +94,7 @@ mod tests {
                 Row { sample, step: 3, ..Row::default() }
             })
             .to_vec();
-        writer.append(&rows, |_, _| {}).expect("appended");
+        writer.append(&rows, |_| {}).expect("appended");
         writer.close().expect("closed");
         let record = read_run(folder.path()).expect("read");
         assert_eq!(record.relative_displacement_m, [10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0]);

@@ -2,6 +2,7 @@
 //! Every way in which something can be lost is found here, counted and written down: a full ring, a
 //! DAQ that skipped numbers, a disk that refuses.
 
+use super::chain::LINK_ROWS;
 use super::folder::{LossReport, RunError, RunFolder, io};
 use super::samples::{SampleWriter, chunk_rows};
 use crate::control::event::{Ending, Event, Nrmse, StepSummary};
@@ -35,7 +36,7 @@ pub enum Notice {
 pub struct Recorded {
     /// Rows written.
     pub rows: u64,
-    /// SHA-256 of all rows.
+    /// Hash chain over all rows.
     pub sha256: String,
     /// What was lost.
     pub lost: LossReport,
@@ -51,16 +52,21 @@ pub struct Recorded {
     pub error: Option<String>,
 }
 
-struct Recorder<'a> {
+/// Empties the rings of one run into its folder.
+pub struct Recorder {
     end: RecorderEnd<Event>,
-    notices: &'a Sender<Notice>,
+    notices: Sender<Notice>,
     samples: SampleWriter,
     chunk_rows: usize,
     events: BufWriter<File>,
     steps: BufWriter<File>,
     integrity: BufWriter<File>,
+    /// For the samples of the stop, and for what is known at the end.
+    reserves: [Option<Reserve>; 2],
     rows: Vec<Row>,
     last_sequence: Option<u64>,
+    /// Rows that the disk refused: after and up to which number, and how many.
+    unwritten: Option<(Option<u64>, u64, u64)>,
     marked_lost: u64,
     daq_lost: u64,
     result: Recorded,
@@ -90,38 +96,80 @@ pub fn steps_line(step: &StepSummary) -> String {
     )
 }
 
-/// Records until the control thread lets its end of the rings go and everything is written.
-///
-/// # Errors
-/// [`RunError`] when the files cannot be made at all; later failures are in [`Recorded::error`] and told
-/// at once through `notices`, and the rings go on being emptied.
-pub fn record(
-    folder: &RunFolder,
-    end: RecorderEnd<Event>,
-    sample_rate_hz: f64,
-    notices: &Sender<Notice>,
-) -> Result<Recorded, RunError> {
-    let create = |path: std::path::PathBuf| File::create(&path).map(BufWriter::new).map_err(io(&path));
-    let mut recorder = Recorder {
-        samples: SampleWriter::create(&folder.samples(), sample_rate_hz)?,
-        events: create(folder.events())?,
-        steps: create(folder.steps())?,
-        integrity: create(folder.integrity())?,
-        chunk_rows: chunk_rows(sample_rate_hz),
-        rows: Vec::with_capacity(MOST_CHUNKS * chunk_rows(sample_rate_hz)),
-        end,
-        notices,
-        last_sequence: None,
-        marked_lost: 0,
-        daq_lost: 0,
-        result: Recorded::default(),
-    };
-    writeln!(recorder.steps, "{STEPS_HEAD}").map_err(io(&folder.steps()))?;
-    recorder.run();
-    Ok(recorder.finish())
+/// Room on the disk that is kept while a run goes on, bytes, twice: for the samples of the stop that a full
+/// disk brings (9 s of them), and for what is known at the end: events, table, manifest, report.
+const RESERVE_BYTES: u64 = 2 << 20;
+
+impl Recorder {
+    /// Makes all files of the folder, before anything moves.
+    ///
+    /// # Errors
+    /// [`RunError`] when one cannot be made.
+    pub fn create(
+        folder: &RunFolder,
+        end: RecorderEnd<Event>,
+        sample_rate_hz: f64,
+        notices: Sender<Notice>,
+    ) -> Result<Self, RunError> {
+        let create = |path: std::path::PathBuf| File::create(&path).map(BufWriter::new).map_err(io(&path));
+        let [stop, at_end] = folder.reserves();
+        let mut recorder = Self {
+            samples: SampleWriter::create(&folder.samples(), sample_rate_hz)?,
+            events: create(folder.events())?,
+            steps: create(folder.steps())?,
+            integrity: create(folder.integrity())?,
+            reserves: [
+                Reserve::take(&stop, RESERVE_BYTES)?.into(),
+                Reserve::take(&at_end, RESERVE_BYTES)?.into(),
+            ],
+            chunk_rows: chunk_rows(sample_rate_hz),
+            rows: Vec::with_capacity(MOST_CHUNKS * chunk_rows(sample_rate_hz)),
+            end,
+            notices,
+            last_sequence: None,
+            unwritten: None,
+            marked_lost: 0,
+            daq_lost: 0,
+            result: Recorded::default(),
+        };
+        let head = writeln!(recorder.steps, "{STEPS_HEAD}").and_then(|()| recorder.steps.flush());
+        head.map_err(io(&folder.steps()))?;
+        Ok(recorder)
+    }
+
+    /// Records until the control thread lets its end of the rings go and everything is written. What
+    /// cannot be written is in [`Recorded::error`] and told at once through the notices; the rings go on
+    /// being emptied.
+    pub fn record(mut self) -> Recorded {
+        self.run();
+        self.finish()
+    }
 }
 
-impl Recorder<'_> {
+/// Room that is given back when it is needed.
+struct Reserve(std::path::PathBuf);
+
+impl Reserve {
+    fn take(path: &std::path::Path, bytes: u64) -> Result<Self, RunError> {
+        let file = File::create(path).map_err(io(path))?;
+        let reserve = Self(path.to_owned());
+        let flags = rustix::fs::FallocateFlags::empty();
+        match rustix::fs::fallocate(&file, flags, 0, bytes) {
+            // Not every file system can; such a one keeps no room.
+            Ok(()) | Err(rustix::io::Errno::OPNOTSUPP | rustix::io::Errno::NOSYS) => Ok(reserve),
+            Err(error) => Err(io(path)(error.into())),
+        }
+    }
+}
+
+impl Drop for Reserve {
+    fn drop(&mut self) {
+        // A file that stays is no harm: `recover` takes it away.
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+impl Recorder {
     fn run(&mut self) {
         let mut synced = Instant::now();
         loop {
@@ -133,8 +181,7 @@ impl Recorder<'_> {
             let whole = self.rows.len() - self.rows.len() % self.chunk_rows;
             self.write_rows(if closed && taken == 0 { self.rows.len() } else { whole });
             if synced.elapsed() >= SYNC_EVERY {
-                let outcome = self.samples.sync().map_err(|error| error.to_string());
-                self.note(outcome);
+                self.sync();
                 synced = Instant::now();
             }
             if closed && taken == 0 && self.rows.is_empty() {
@@ -144,6 +191,14 @@ impl Recorder<'_> {
                 std::thread::park_timeout(POLL);
             }
         }
+    }
+
+    /// Forces everything written so far to the disk.
+    fn sync(&mut self) {
+        let samples = self.samples.sync().map_err(|error| error.to_string());
+        self.note(samples);
+        let others = self.events.get_ref().sync_data().and_then(|()| self.integrity.get_ref().sync_data());
+        self.note(others.map_err(|error| format!("events.jsonl, integrity.txt: {error}")));
     }
 
     /// Keeps the first error, tells it, and goes on.
@@ -157,6 +212,23 @@ impl Recorder<'_> {
         }
     }
 
+    /// Appends rows. A disk that refuses them ends the run; the room kept for that takes them and those of
+    /// the stop.
+    fn append(&mut self, rows: &[Row]) -> Result<(), String> {
+        let mut links = String::new();
+        let mut appended = self.samples.append(rows, |link| links += &format!("{link}\n"));
+        if let Err(error) = &appended
+            && self.reserves[0].take().is_some()
+        {
+            self.note(Err(error.to_string()));
+            appended = self.samples.append(rows, |link| links += &format!("{link}\n"));
+        }
+        appended.map_err(|error| error.to_string())?;
+        let linked = self.integrity.write_all(links.as_bytes()).and_then(|()| self.integrity.flush());
+        self.note(linked.map_err(|error| format!("integrity.txt: {error}")));
+        Ok(())
+    }
+
     /// Writes the first `count` of the rows that wait.
     fn write_rows(&mut self, count: usize) {
         if count == 0 {
@@ -167,21 +239,43 @@ impl Recorder<'_> {
         for row in rows {
             self.watch_sequence(row);
         }
-        let integrity = &mut self.integrity;
-        let mut linked = Ok(());
-        let appended = self.samples.append(rows, |count, hash| {
-            linked = writeln!(integrity, "{count} {hash}").and_then(|()| integrity.flush());
-        });
-        if appended.is_err() {
-            self.result.lost.samples += rows.len() as u64;
+        match self.append(rows) {
+            Ok(()) => self.tell_unwritten(rows.first().map(|row| row.sample.sequence)),
+            Err(error) => {
+                self.count_unwritten(rows);
+                self.note(Err(error));
+            }
         }
-        self.note(appended.map_err(|error| error.to_string()));
-        self.note(linked.map_err(|error| error.to_string()));
         if let Some(last) = rows.last() {
             let _ = self.notices.try_send(Notice::Row(*last));
         }
         waiting.drain(..count);
         self.rows = waiting;
+    }
+
+    /// Counts rows that the disk refused.
+    fn count_unwritten(&mut self, rows: &[Row]) {
+        let (Some(first), Some(last)) = (rows.first(), rows.last()) else { return };
+        let count = rows.len() as u64;
+        self.result.lost.samples += count;
+        self.result.lost.disk += count;
+        let before = first.sample.sequence.checked_sub(1);
+        self.unwritten = Some(match self.unwritten {
+            Some((after, _, more)) => (after, last.sample.sequence, more + count),
+            None => (before, last.sample.sequence, count),
+        });
+    }
+
+    /// Writes down the rows that the disk refused, once it takes some again (`before` is the first of
+    /// these) or the run is over.
+    fn tell_unwritten(&mut self, before: Option<u64>) {
+        if let Some((after, last, missing)) = self.unwritten.take() {
+            let record = serde_json::json!({
+                "event": "gap", "after": after, "before": before, "missing": missing, "last": last,
+                "refused_by_disk": missing, "dropped_by_ring": 0, "not_delivered_by_daq": 0,
+            });
+            self.write_event(&record.to_string());
+        }
     }
 
     /// Finds jumps in the numbers and says what they are: rows the ring dropped, or samples that the DAQ
@@ -247,7 +341,9 @@ impl Recorder<'_> {
     }
 
     fn finish(mut self) -> Recorded {
+        self.reserves = [None, None];
         self.take_events();
+        self.tell_unwritten(None);
         let losses = self.end.losses();
         let unmarked = losses.record.saturating_sub(self.marked_lost);
         if unmarked > 0 {
@@ -261,8 +357,18 @@ impl Recorder<'_> {
         lost.events = losses.events;
         lost.live = losses.live;
         self.result.rows = self.samples.rows();
+        self.sync();
         match self.samples.close() {
-            Ok(hash) => self.result.sha256 = hash,
+            Ok(last) => {
+                // The last block is open where the run ended; a whole one has its link already.
+                if !last.rows.is_multiple_of(LINK_ROWS) {
+                    let linked = writeln!(self.integrity, "{last}").and_then(|()| self.integrity.flush());
+                    if let Err(error) = linked {
+                        self.result.error.get_or_insert(format!("integrity.txt: {error}"));
+                    }
+                }
+                self.result.sha256 = last.chain;
+            }
             Err(error) => {
                 self.result.error.get_or_insert(error.to_string());
             }
@@ -298,9 +404,9 @@ mod tests {
         }
         drop(control);
         let (notices, _told) = crossbeam::channel::unbounded();
-        let recorded = record(&folder, end, 2048.0, &notices).expect("recorded");
+        let recorded = Recorder::create(&folder, end, 2048.0, notices).expect("made").record();
         assert_eq!(recorded.rows, 25);
-        assert_eq!(recorded.lost, LossReport { samples: 55, ring: 50, daq: 5, events: 0, live: 0 });
+        assert_eq!(recorded.lost, LossReport { samples: 55, ring: 50, daq: 5, ..LossReport::default() });
         let reader = SampleReader::open(&folder.samples()).expect("opens");
         let rows = reader.read(0, 25).expect("reads");
         assert_eq!((rows[0].sample.sequence, rows[0].lost_before), (150, 50));
@@ -324,7 +430,7 @@ mod tests {
         }
         drop(control);
         let (notices, _told) = crossbeam::channel::unbounded();
-        let recorded = record(&folder, end, 2048.0, &notices).expect("recorded");
+        let recorded = Recorder::create(&folder, end, 2048.0, notices).expect("made").record();
         assert_eq!((recorded.rows, recorded.lost.samples), (10, 4));
         let events = std::fs::read_to_string(folder.events()).expect("events");
         assert!(events.contains("\"after\":9") && events.contains("\"missing\":4"), "{events}");

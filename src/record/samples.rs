@@ -2,20 +2,18 @@
 //! file of the product that knows the HDF5 library. The file opens in any HDF5 reader at every moment,
 //! after `kill -9` too, since each append is published as a whole.
 
+use super::chain::{Link, RowChain};
 use crate::model::Regime;
 use crate::stream::{Channels, Command, Row, Sample, StatusBits};
 use hdf5_pure::{
     AttrValue, CompoundTypeBuilder, Dataset, File, FileAccessProperties, FileBuilder, MaxExtent, SyncPolicy,
 };
-use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 
 /// Name of the data set.
 pub const DATASET: &str = "samples";
 /// Bytes of one row.
 pub const ROW_BYTES: usize = 112;
-/// Rows of one link of the hash chain.
-pub const LINK_ROWS: usize = 2048;
 
 /// Rows of one chunk of the file, a quarter of a second of them. Writing whole chunks only keeps the file
 /// compact: a chunk that grows is written anew elsewhere.
@@ -33,6 +31,12 @@ pub enum SampleFileError {
         path: PathBuf,
         /// What the library says.
         source: Box<hdf5_pure::Error>,
+    },
+    /// The library gave up on the file.
+    #[error("{path}: damaged")]
+    Damaged {
+        /// Which file.
+        path: PathBuf,
     },
     /// The file is not one of ours.
     #[error("{path}: rows of {found} bytes; a run of this version has {ROW_BYTES}")]
@@ -127,35 +131,6 @@ pub fn decode(row: &[u8]) -> Row {
     }
 }
 
-/// A hash over the rows written, with a link of the chain every [`LINK_ROWS`] rows: the hash of everything
-/// up to there, so that any prefix can be verified.
-#[derive(Clone, Default)]
-pub struct RowHash {
-    hasher: Sha256,
-    rows: usize,
-}
-
-impl RowHash {
-    /// Takes rows in; calls `link` with the number of rows and the hash at each link.
-    pub fn update(&mut self, mut rows: &[u8], mut link: impl FnMut(usize, String)) {
-        while !rows.is_empty() {
-            let missing = (LINK_ROWS - self.rows % LINK_ROWS) * ROW_BYTES;
-            let (now, rest) = rows.split_at(missing.min(rows.len()));
-            self.hasher.update(now);
-            self.rows += now.len() / ROW_BYTES;
-            if self.rows.is_multiple_of(LINK_ROWS) {
-                link(self.rows, self.hex());
-            }
-            rows = rest;
-        }
-    }
-
-    /// Hash of all rows so far, hexadecimal.
-    pub fn hex(&self) -> String {
-        hex(&self.hasher.clone().finalize())
-    }
-}
-
 /// Bytes as lower-case hexadecimal.
 pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
@@ -168,7 +143,7 @@ pub struct SampleWriter {
     file: File,
     dataset: Dataset,
     block: Vec<u8>,
-    hash: RowHash,
+    chain: RowChain,
     rows: u64,
 }
 
@@ -221,7 +196,7 @@ impl SampleWriter {
             file,
             dataset,
             block: Vec::with_capacity(chunk_rows(sample_rate_hz) * ROW_BYTES),
-            hash: RowHash::default(),
+            chain: RowChain::default(),
             rows: 0,
         })
     }
@@ -230,13 +205,13 @@ impl SampleWriter {
     ///
     /// # Errors
     /// [`SampleFileError::Hdf5`]; the rows before stay readable.
-    pub fn append(&mut self, rows: &[Row], link: impl FnMut(usize, String)) -> Result<(), SampleFileError> {
+    pub fn append(&mut self, rows: &[Row], link: impl FnMut(Link)) -> Result<(), SampleFileError> {
         self.block.clear();
         for row in rows {
             encode(row, self.sample_rate_hz, &mut self.block);
         }
         self.dataset.append_raw(&self.block).map_err(wrap(&self.path))?;
-        self.hash.update(&self.block, link);
+        self.chain.update(&self.block, link);
         self.rows += rows.len() as u64;
         Ok(())
     }
@@ -254,14 +229,14 @@ impl SampleWriter {
         self.rows
     }
 
-    /// Closes the file and returns the hash of all rows.
+    /// Closes the file and returns the last link of the chain, which stands for all rows.
     ///
     /// # Errors
     /// [`SampleFileError::Hdf5`] when the last write fails.
-    pub fn close(self) -> Result<String, SampleFileError> {
+    pub fn close(self) -> Result<Link, SampleFileError> {
         drop(self.dataset);
         self.file.close().map_err(wrap(&self.path))?;
-        Ok(self.hash.hex())
+        Ok(self.chain.last())
     }
 }
 
@@ -363,18 +338,18 @@ mod tests {
         let rows: Vec<Row> = (0..5000).map(row).collect();
         let mut links = Vec::new();
         for block in rows.chunks(777) {
-            writer.append(block, |rows, hash| links.push((rows, hash))).expect("appended");
+            writer.append(block, |link| links.push(link)).expect("appended");
             let reader = SampleReader::open(&path).expect("opens while it is written");
             assert_eq!(reader.rows(), writer.rows());
         }
-        let hash = writer.close().expect("closed");
+        let last = writer.close().expect("closed");
         let reader = SampleReader::open(&path).expect("opens");
         assert_eq!(reader.read(0, 5000).expect("reads"), rows);
         assert_eq!(reader.read(2040, 10).expect("reads"), rows[2040..2050]);
-        let mut again = RowHash::default();
+        let mut again = RowChain::default();
         let mut expected = Vec::new();
-        again.update(&reader.read_bytes(0, 5000).expect("reads"), |rows, hash| expected.push((rows, hash)));
-        assert_eq!((again.hex(), expected), (hash, links.clone()));
-        assert_eq!(links.iter().map(|(rows, _)| *rows).collect::<Vec<_>>(), [2048, 4096]);
+        again.update(&reader.read_bytes(0, 5000).expect("reads"), |link| expected.push(link));
+        assert_eq!((again.last(), &expected), (last, &links));
+        assert_eq!(links.iter().map(|link| link.rows).collect::<Vec<_>>(), [2048, 4096]);
     }
 }

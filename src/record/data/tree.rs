@@ -101,7 +101,7 @@ mod tests {
                 Row { sample, step: 1, ..Row::default() }
             })
             .collect();
-        writer.append(&rows, |_, _| {}).expect("appended");
+        writer.append(&rows, |_| {}).expect("appended");
         writer.close().expect("closed");
         std::fs::write(folder.steps(), "index,direction,a_max_m_s2\n0,forward,1.5\n1,backward,\n")
             .expect("written");
