@@ -296,7 +296,12 @@ fn mark<'a>(
     let (x, y) = (x - left, y - top);
     match marker {
         Marker::Circle => area.draw(&Circle::new((x, y), r, colour.filled())),
-        Marker::Square => area.draw(&Rectangle::new([(x - r, y - r), (x + r, y + r)], outline)),
+        // A rectangle of the SVG back end has no stroke width, a path has one.
+        Marker::Square => {
+            let corners =
+                [(x - r, y - r), (x + r, y - r), (x + r, y + r), (x - r, y + r), (x - r, y - r - pixel(0.9))];
+            area.draw(&PathElement::new(corners.to_vec(), outline))
+        }
         Marker::Cross => area.draw(&Cross::new((x, y), r, outline)),
         Marker::Triangle => area.draw(&TriangleMarker::new((x, y), r, colour.filled())),
     }
