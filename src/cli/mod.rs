@@ -2,6 +2,21 @@
 //!
 //! Exit codes: 0 done, 1 failed, 2 bad usage or configuration, 3 aborted by safety.
 
+/// `print!` of the command line: a reader that went away (`| head`) ends the printing, not the program.
+macro_rules! print {
+    ($($text:tt)*) => {{
+        use std::io::Write as _;
+        // Standard output that is closed or full leaves nobody to tell.
+        let _ = write!(std::io::stdout().lock(), $($text)*);
+    }};
+}
+
+/// `println!` of the command line, as `print!` above.
+macro_rules! println {
+    () => { print!("\n") };
+    ($format:literal $($rest:tt)*) => { print!("{}\n", format_args!($format $($rest)*)) };
+}
+
 pub mod bench;
 pub mod doctor;
 pub mod effect;
