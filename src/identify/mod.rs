@@ -1,1 +1,5 @@
 //! Fitting a model's parameters to records, with intervals.
+
+pub mod kinematics;
+pub mod least_squares;
+pub mod spectral;

@@ -1,0 +1,277 @@
+//! Damped Gauss-Newton for weighted residuals with Gaussian priors and bounds.
+//!
+//! Identification and diagnosis both minimise `sum r_i(x)^2 + sum ((x_j - mean_j)/sigma_j)^2`
+//! where the residuals come from an imposed motion or from a simulation. The normal matrix is all
+//! that is kept of the Jacobian. (Levenberg 1944; Marquardt 1963; intervals: Seber and Wild,
+//! Nonlinear Regression, 1989, ch. 2.)
+
+use nalgebra::{DMatrix, DVector};
+
+/// One free number of a fit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Free {
+    /// Dotted key in the model file, or a name of a nuisance.
+    pub key: String,
+    /// Where the fit starts.
+    pub start: f64,
+    /// Typical change, which scales the number and the finite differences; above zero.
+    pub scale: f64,
+    /// Prior mean and standard deviation; infinite for none.
+    pub prior: (f64, f64),
+    /// Lowest and highest allowed value.
+    pub bounds: (f64, f64),
+}
+
+/// Where a fit ended.
+#[derive(Clone, Debug)]
+pub struct Fit {
+    /// Best values, in the order of the free numbers.
+    pub values: Vec<f64>,
+    /// Sum of squared residuals without the priors.
+    pub residual_sum: f64,
+    /// Sum of the squared prior terms.
+    pub prior_sum: f64,
+    /// Number of residuals.
+    pub count: usize,
+    /// Normal matrix `J'J` of the residuals alone, in units of the free numbers.
+    pub information: DMatrix<f64>,
+    /// Iterations used.
+    pub iterations: usize,
+}
+
+impl Fit {
+    /// Covariance with the priors, each residual counting `1/inflation` of an independent one.
+    pub fn covariance(&self, free: &[Free], inflation: f64) -> DMatrix<f64> {
+        let n = free.len();
+        let mut matrix = &self.information / inflation.max(1e-300);
+        for (j, number) in free.iter().enumerate() {
+            if number.prior.1.is_finite() {
+                matrix[(j, j)] += 1.0 / number.prior.1.powi(2);
+            }
+        }
+        // Scaled to unit diagonal before inversion: the numbers span many decades.
+        let d: Vec<f64> = (0..n).map(|j| matrix[(j, j)].max(1e-300).sqrt()).collect();
+        let scaled = DMatrix::from_fn(n, n, |i, j| matrix[(i, j)] / (d[i] * d[j]));
+        let inverse = scaled
+            .clone()
+            .cholesky()
+            .map(|c| c.inverse())
+            .or_else(|| scaled.pseudo_inverse(1e-12).ok())
+            .unwrap_or_else(|| DMatrix::identity(n, n) * 1e12);
+        DMatrix::from_fn(n, n, |i, j| inverse[(i, j)] / (d[i] * d[j]))
+    }
+}
+
+/// Settings of the iteration.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings {
+    /// At most so many accepted or refused steps.
+    pub iterations: usize,
+    /// Ends when the relative decrease of the objective falls below this.
+    pub tolerance: f64,
+    /// Finite-difference step as a fraction of a number's scale.
+    pub difference: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { iterations: 12, tolerance: 1e-6, difference: 1e-3 }
+    }
+}
+
+/// Minimises the residuals over the free numbers. `residuals` fills the vector for given values
+/// (always the same length) and returns false where the model cannot be evaluated.
+///
+/// `None` when the start itself cannot be evaluated.
+pub fn fit(
+    free: &[Free],
+    settings: Settings,
+    mut residuals: impl FnMut(&[f64], &mut Vec<f64>) -> bool,
+) -> Option<Fit> {
+    let n = free.len();
+    let mut x: Vec<f64> = free.iter().map(|f| f.start.clamp(f.bounds.0, f.bounds.1)).collect();
+    let mut r = Vec::new();
+    if !residuals(&x, &mut r) || r.iter().any(|v| !v.is_finite()) {
+        return None;
+    }
+    let mut cost = sum_of_squares(&r) + prior_sum(free, &x);
+    let mut damping = 1e-4;
+    let mut shifted = Vec::with_capacity(r.len());
+    let mut jacobian: Vec<Vec<f64>> = vec![Vec::new(); n];
+    let mut system = linearise(free, settings, &x, &r, &mut jacobian, &mut shifted, &mut residuals);
+    let mut used = 0;
+    while used < settings.iterations {
+        used += 1;
+        let Some(step) = damped_step(free, &x, &system, damping) else { break };
+        let trial: Vec<f64> =
+            (0..n).map(|j| (x[j] + step[j]).clamp(free[j].bounds.0, free[j].bounds.1)).collect();
+        let sound = residuals(&trial, &mut shifted) && shifted.iter().all(|v| v.is_finite());
+        let trial_cost =
+            if sound { sum_of_squares(&shifted) + prior_sum(free, &trial) } else { f64::INFINITY };
+        if trial_cost < cost {
+            let decrease = (cost - trial_cost) / cost.max(1e-300);
+            x = trial;
+            std::mem::swap(&mut r, &mut shifted);
+            cost = trial_cost;
+            damping = (damping * 0.1).max(1e-9);
+            system = linearise(free, settings, &x, &r, &mut jacobian, &mut shifted, &mut residuals);
+            if decrease < settings.tolerance {
+                break;
+            }
+        } else {
+            damping *= 10.0;
+            if damping > 1e6 {
+                break;
+            }
+        }
+    }
+    Some(Fit {
+        residual_sum: sum_of_squares(&r),
+        prior_sum: prior_sum(free, &x),
+        values: x,
+        count: r.len(),
+        information: system.0,
+        iterations: used,
+    })
+}
+
+/// `(J'J, J'r)` by one-sided differences, away from a bound.
+fn linearise(
+    free: &[Free],
+    settings: Settings,
+    x: &[f64],
+    r: &[f64],
+    jacobian: &mut [Vec<f64>],
+    shifted: &mut Vec<f64>,
+    residuals: &mut impl FnMut(&[f64], &mut Vec<f64>) -> bool,
+) -> (DMatrix<f64>, DVector<f64>) {
+    let n = free.len();
+    let mut at = x.to_vec();
+    for j in 0..n {
+        let mut h = settings.difference * free[j].scale;
+        if x[j] + h > free[j].bounds.1 {
+            h = -h;
+        }
+        at[j] = x[j] + h;
+        let sound = residuals(&at, shifted) && shifted.len() == r.len();
+        at[j] = x[j];
+        jacobian[j].clear();
+        if sound {
+            jacobian[j].extend(shifted.iter().zip(r).map(|(b, a)| {
+                let slope = (b - a) / h;
+                if slope.is_finite() { slope } else { 0.0 }
+            }));
+        } else {
+            jacobian[j].resize(r.len(), 0.0);
+        }
+    }
+    let mut normal = DMatrix::zeros(n, n);
+    let mut gradient = DVector::zeros(n);
+    for j in 0..n {
+        gradient[j] = dot(&jacobian[j], r);
+        for i in 0..=j {
+            let value = dot(&jacobian[i], &jacobian[j]);
+            normal[(i, j)] = value;
+            normal[(j, i)] = value;
+        }
+    }
+    (normal, gradient)
+}
+
+fn damped_step(
+    free: &[Free],
+    x: &[f64],
+    (normal, gradient): &(DMatrix<f64>, DVector<f64>),
+    damping: f64,
+) -> Option<Vec<f64>> {
+    let n = free.len();
+    let s: Vec<f64> = free.iter().map(|f| f.scale).collect();
+    let mut matrix = DMatrix::from_fn(n, n, |i, j| normal[(i, j)] * s[i] * s[j]);
+    let mut right = DVector::from_fn(n, |j, _| -gradient[j] * s[j]);
+    for j in 0..n {
+        let (mean, sigma) = free[j].prior;
+        if sigma.is_finite() {
+            let weight = s[j] / sigma;
+            matrix[(j, j)] += weight * weight;
+            right[j] -= weight * (x[j] - mean) / sigma;
+        }
+    }
+    let floor = (0..n).map(|j| matrix[(j, j)]).fold(0.0, f64::max) * 1e-15;
+    for j in 0..n {
+        let d = matrix[(j, j)];
+        matrix[(j, j)] = d * (1.0 + damping) + floor.max(1e-300);
+    }
+    let solution = matrix.cholesky()?.solve(&right);
+    Some((0..n).map(|j| solution[j] * s[j]).collect())
+}
+
+fn prior_sum(free: &[Free], x: &[f64]) -> f64 {
+    free.iter()
+        .zip(x)
+        .filter(|(f, _)| f.prior.1.is_finite())
+        .map(|(f, value)| ((value - f.prior.0) / f.prior.1).powi(2))
+        .sum()
+}
+
+/// Sum of squares.
+pub fn sum_of_squares(r: &[f64]) -> f64 {
+    dot(r, r)
+}
+
+/// Scalar product, in four partial sums so that the compiler may use vector registers.
+pub fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let mut sums = [0.0; 4];
+    let (chunks_a, chunks_b) = (a.chunks_exact(4), b.chunks_exact(4));
+    let rest: f64 = chunks_a.remainder().iter().zip(chunks_b.remainder()).map(|(x, y)| x * y).sum();
+    for (x, y) in chunks_a.zip(chunks_b) {
+        for k in 0..4 {
+            sums[k] += x[k] * y[k];
+        }
+    }
+    sums.iter().sum::<f64>() + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn free(key: &str, start: f64, scale: f64) -> Free {
+        Free {
+            key: key.into(),
+            start,
+            scale,
+            prior: (0.0, f64::INFINITY),
+            bounds: (f64::NEG_INFINITY, f64::INFINITY),
+        }
+    }
+
+    #[test]
+    fn a_decay_is_found_with_its_interval() {
+        let t: Vec<f64> = (0..200).map(|i| i as f64 * 0.05).collect();
+        let y: Vec<f64> = t.iter().map(|t| 3.0 * (-0.4 * t).exp()).collect();
+        let free = [free("a", 1.0, 1.0), free("b", 0.1, 0.1)];
+        let fit = fit(&free, Settings::default(), |x, r| {
+            r.clear();
+            r.extend(t.iter().zip(&y).map(|(t, y)| (x[0] * (-x[1] * t).exp() - y) / 0.01));
+            true
+        })
+        .expect("starts");
+        assert!((fit.values[0] - 3.0).abs() < 1e-6 && (fit.values[1] - 0.4).abs() < 1e-6, "{fit:?}");
+        let covariance = fit.covariance(&free, 1.0);
+        assert!(covariance[(0, 0)] > 0.0 && covariance[(0, 0)] < 1e-3);
+    }
+
+    #[test]
+    fn a_prior_holds_what_the_data_does_not_tell() {
+        let mut numbers = [free("a", 1.0, 1.0), free("idle", 5.0, 1.0)];
+        numbers[1].prior = (5.0, 0.5);
+        let fit = fit(&numbers, Settings::default(), |x, r| {
+            r.clear();
+            r.push(x[0] - 2.0);
+            true
+        })
+        .expect("starts");
+        assert_eq!(fit.values[1], 5.0);
+        assert!((fit.covariance(&numbers, 1.0)[(1, 1)].sqrt() - 0.5).abs() < 1e-9);
+    }
+}
