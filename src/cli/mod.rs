@@ -18,6 +18,7 @@ macro_rules! println {
 }
 
 pub mod bench;
+pub mod compare;
 pub mod doctor;
 pub mod effect;
 pub mod emulate;
@@ -46,6 +47,8 @@ struct Cli {
 enum Command {
     /// Drive a sweep on the table, record it, compare it with the onboard model.
     Run(run::Args),
+    /// Tell where a model fails against a record.
+    Compare(compare::Args),
     /// List recorded runs, or check one.
     Runs(runs::Args),
     /// Close an interrupted run with what is there.
@@ -103,6 +106,7 @@ pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let result = match cli.command {
         Command::Run(args) => run::execute(args),
+        Command::Compare(args) => compare::execute(args),
         Command::Runs(args) => runs::execute(args),
         Command::Recover(args) => recover::execute(args),
         Command::Doctor(args) => doctor::execute(args),

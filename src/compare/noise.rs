@@ -1,0 +1,117 @@
+//! The noise floor of a comparison, measured from the record itself: what would be left between a
+//! perfect model and this measurement.
+//!
+//! White noise of each sensor comes from the quiet upper part of its spectrum (median of the bins, so
+//! that lines do not count), scaled to the band of the comparison; slower noise of the accelerometers
+//! from the part of their difference that does not repeat from cycle to cycle (gain errors, leaks and
+//! yaw repeat).
+
+use super::band::Band;
+use super::window::{Window, windows};
+use crate::identify::spectral::{Spectrum, white_noise_rms};
+use crate::record::{Kind, Record};
+use std::f64::consts::TAU;
+
+/// Samples that are looked at for white noise.
+const PIECE: usize = 1 << 17;
+
+/// RMS noise in the band of the comparison; 0 for what is not measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NoiseFloor {
+    /// Of the acceleration that is compared (mean of both accelerometers), m/s2.
+    pub acceleration_m_s2: f64,
+    /// Of the displacement, m.
+    pub displacement_m: f64,
+    /// Of the force that is compared (`component`), N.
+    pub force_n: f64,
+    /// White noise of the channel that drives the model, over its whole band: m/s2 of table
+    /// acceleration, N of applied force, m of imposed displacement.
+    pub input: f64,
+}
+
+/// Noise floor of a record, in the band in which it is compared.
+pub fn noise_floor(record: &Record) -> NoiseFloor {
+    let windows = windows(record);
+    let band = Band::of(record, &windows);
+    in_band(record, &windows, band.as_ref())
+}
+
+pub(super) fn in_band(record: &Record, windows: &[Window], band: Option<&Band>) -> NoiseFloor {
+    let rate = record.sample_rate_hz;
+    let share = band.map_or(1.0, |band| band.noise_share(rate).sqrt());
+    let input = white(record.input(), rate);
+    match record.kind {
+        Kind::Base => NoiseFloor {
+            acceleration_m_s2: accelerometers(record, windows, band, share),
+            displacement_m: share * white(&record.relative_displacement_m, rate),
+            force_n: 0.0,
+            input,
+        },
+        Kind::Force => NoiseFloor {
+            acceleration_m_s2: share * white(&record.acceleration_m_s2, rate),
+            displacement_m: share * white(&record.displacement_m, rate),
+            force_n: 0.0,
+            input,
+        },
+        Kind::Component => {
+            let scatter = scatter(&record.force_n, windows, rate).unwrap_or(0.0);
+            NoiseFloor { force_n: white(&record.force_n, rate).max(scatter), input, ..NoiseFloor::default() }
+        }
+    }
+}
+
+/// Noise of the mean of the accelerometers in the band.
+fn accelerometers(record: &Record, windows: &[Window], band: Option<&Band>, share: f64) -> f64 {
+    let rate = record.sample_rate_hz;
+    let (one, two) = (&record.mass_acceleration_1_m_s2, &record.mass_acceleration_2_m_s2);
+    if one.is_empty() || two.is_empty() {
+        return share * white(if one.is_empty() { two } else { one }, rate);
+    }
+    let hissing = 0.5 * share * white(one, rate).hypot(white(two, rate));
+    let mut half: Vec<f64> = one.iter().zip(two).map(|(a, b)| 0.5 * (a - b)).collect();
+    if let Some(band) = band {
+        band.filter(&mut half, rate);
+    }
+    hissing.max(scatter(&half, windows, rate).unwrap_or(0.0))
+}
+
+/// White noise of a channel over its whole band, RMS.
+fn white(channel: &[f64], rate: f64) -> f64 {
+    let from = (channel.len().saturating_sub(PIECE)) / 2;
+    let Some(piece) = channel.get(from..(from + PIECE).min(channel.len())).filter(|piece| piece.len() > 32)
+    else {
+        return 0.0;
+    };
+    let mean = piece.iter().sum::<f64>() / piece.len() as f64;
+    let step = TAU / piece.len() as f64;
+    let hann: Vec<f64> =
+        piece.iter().enumerate().map(|(i, x)| (x - mean) * (1.0 - (step * (i as f64 + 0.5)).cos())).collect();
+    // 1.5 is the mean square of the window.
+    white_noise_rms(&Spectrum::of(&hann, rate), 0.4, 0.9) / 1.5_f64.sqrt()
+}
+
+/// RMS of what does not repeat from one counted cycle to the next: the median over the steps, so that
+/// steps that had not settled do not count.
+fn scatter(channel: &[f64], windows: &[Window], rate: f64) -> Option<f64> {
+    let mut squares: Vec<f64> = windows
+        .iter()
+        .filter_map(|window| {
+            let samples = channel.get(window.counted.clone())?;
+            let cycle = rate / window.frequency_hz?;
+            let (whole, part) = (cycle as usize, cycle.fract());
+            let pairs = samples.len().checked_sub(whole + 2)?;
+            if pairs < whole / 2 {
+                return None;
+            }
+            let sum: f64 = (0..pairs)
+                .map(|i| {
+                    let later = samples[i + whole] * (1.0 - part) + samples[i + whole + 1] * part;
+                    (samples[i] - later).powi(2)
+                })
+                .sum();
+            Some(0.5 * sum / pairs as f64)
+        })
+        .collect();
+    squares.sort_by(f64::total_cmp);
+    squares.get(squares.len() / 2).map(|square| square.sqrt())
+}

@@ -1,0 +1,297 @@
+//! The model driven by what was imposed on the specimen, beside what was measured.
+
+use super::CompareError;
+use super::window::Window;
+use crate::model::system::System;
+use crate::model::{ModelSpec, Observer, Regime, Specimen, build};
+use crate::record::{Kind, Record};
+use rand::{Rng, SeedableRng};
+use serde::Serialize;
+use std::ops::Range;
+
+/// How the model was run beside the measurement.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case", tag = "kind")]
+pub enum Method {
+    /// From rest at the first sample.
+    FromRest,
+    /// Along the measured motion up to `from_s`, free from there on: the record starts in motion.
+    WarmStart {
+        /// End of the imposed motion, s after the first sample.
+        from_s: f64,
+    },
+    /// Nothing holds the mass back: short pieces, each started from the measured state.
+    ShortHorizons {
+        /// Length of a piece, s.
+        horizon_s: f64,
+    },
+    /// The measured motion was imposed, the force compared.
+    Imposed,
+}
+
+/// Measured and modelled channels, sample by sample; an absent channel is empty.
+#[derive(Clone, Debug, Default)]
+pub struct Channels {
+    /// Absolute acceleration of the mass, m/s2 (`component`: minus the force over the mass).
+    pub measured_a: Vec<f64>,
+    /// The model's.
+    pub model_a: Vec<f64>,
+    /// Displacement, m.
+    pub measured_d: Vec<f64>,
+    /// The model's.
+    pub model_d: Vec<f64>,
+    /// The model's regime.
+    pub regime: Vec<Regime>,
+    /// Whether the model is moving towards the side it is on (contact: approaching).
+    pub outward: Vec<bool>,
+}
+
+/// Measured channels with their zeros taken out, and what drives the model.
+pub struct Measured {
+    /// Kind of the record.
+    pub kind: Kind,
+    /// Sample period, s.
+    pub dt_s: f64,
+    /// Mass of the model, kg.
+    pub mass_kg: f64,
+    /// Table acceleration that drives the model, m/s2; empty for `component`.
+    pub drive: Vec<f64>,
+    /// Acceleration, m/s2.
+    pub a: Vec<f64>,
+    /// Displacement, m.
+    pub d: Vec<f64>,
+    /// Samples of the fastest cycle.
+    pub cycle: usize,
+}
+
+impl Measured {
+    /// Takes the channels of a record, by its kind.
+    /// # Errors
+    /// [`CompareError::Model`] for a model that is refused.
+    pub fn of(
+        record: &Record,
+        spec: &ModelSpec,
+        windows: &[Window],
+        notes: &mut Vec<String>,
+    ) -> Result<Self, CompareError> {
+        // That of the effects included.
+        let mass_kg = System::compile(spec, 1.0 / record.sample_rate_hz)?.mass_kg;
+        let zeroed = |channel: &[f64]| {
+            let mean = steady_mean(channel);
+            channel.iter().map(|x| x - mean).collect::<Vec<f64>>()
+        };
+        let (drive, a, d) = match record.kind {
+            Kind::Base => (
+                zeroed(&record.table_acceleration_m_s2),
+                zeroed(&record.mass_acceleration_m_s2()),
+                record.relative_displacement_m.clone(),
+            ),
+            Kind::Force => (
+                record.force_n.iter().map(|f| -f / mass_kg).collect(),
+                zeroed(&record.acceleration_m_s2),
+                record.displacement_m.clone(),
+            ),
+            Kind::Component => (
+                Vec::new(),
+                record.force_n.iter().map(|f| -f / mass_kg).collect(),
+                record.displacement_m.clone(),
+            ),
+        };
+        let rate = record.sample_rate_hz;
+        let cycle = windows.iter().filter(|w| w.frequency_hz.is_some()).map(|w| w.cycle_samples(rate)).min();
+        let cycle = cycle.unwrap_or_else(|| typical_cycle(if d.is_empty() { &a } else { &d }));
+        let d = if record.kind == Kind::Component { d } else { without_offset(d, notes) };
+        Ok(Self { kind: record.kind, dt_s: 1.0 / rate, mass_kg, drive, a, d, cycle })
+    }
+
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.a.len().max(self.d.len())
+    }
+
+    /// Rate of the displacement at a sample, m/s: difference of two neighbouring means, each an
+    /// eightieth of `cycle` samples wide, so that noise does not drown it.
+    pub fn velocity(&self, sample: usize, cycle: usize) -> f64 {
+        let n = self.d.len();
+        let wide = (cycle / 80).max(1).min(sample.max(1)).min((n - sample.min(n)).max(1));
+        let from = sample.saturating_sub(wide);
+        let to = (sample + wide).min(n - 1);
+        if wide == 1 || to == from {
+            return (self.d[to] - self.d[from]) / ((to - from).max(1) as f64 * self.dt_s);
+        }
+        // The two means are centred half a width before and behind the sample.
+        let sum = |range: Range<usize>| range.map(|i| self.d[i]).sum::<f64>();
+        (sum(sample + 1..to + 1) - sum(from..sample)) / wide as f64 / ((wide + 1) as f64 * self.dt_s)
+    }
+
+    /// Length of the imposed beginning, samples: none when the record starts from rest.
+    fn imposed_start(&self) -> usize {
+        let n = self.d.len();
+        let first = self.cycle.min(n);
+        if first < 4 {
+            return 0;
+        }
+        let rms = |range: &[f64]| {
+            let mean = range.iter().sum::<f64>() / range.len() as f64;
+            (range.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / range.len() as f64).sqrt()
+        };
+        // A neighbour's difference holds the noise and hardly any motion.
+        let steps = self.d[..first].windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum::<f64>();
+        let noise = (0.5 * steps / first as f64).sqrt();
+        let start = rms(&self.d[..first]);
+        if start > 0.05 * rms(&self.d) && start > 3.0 * noise { (2 * self.cycle).min(n / 5) } else { 0 }
+    }
+}
+
+/// Mean that whole cycles do not enter: weighted with a Hann window over the channel.
+fn steady_mean(channel: &[f64]) -> f64 {
+    let step = std::f64::consts::TAU / channel.len().max(1) as f64;
+    // The cosine by recurrence: 2 cos(h) c(i) - c(i-1).
+    let (mut now, mut before) = ((0.5 * step).cos(), (0.5 * step).cos());
+    let twice = 2.0 * step.cos();
+    let mut sum = 0.0;
+    for x in channel {
+        sum += (1.0 - now) * x;
+        (now, before) = (twice * now - before, now);
+    }
+    sum / channel.len().max(1) as f64
+}
+
+/// A displacement whose zero is far from the middle of its motion has an arbitrary zero.
+fn without_offset(mut d: Vec<f64>, notes: &mut Vec<String>) -> Vec<f64> {
+    let mean = steady_mean(&d);
+    let rms = (d.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / d.len().max(1) as f64).sqrt();
+    if mean.abs() > rms {
+        notes.push(format!("displacement has a zero of its own: {mean:.4e} m taken out"));
+        d.iter_mut().for_each(|x| *x -= mean);
+    }
+    d
+}
+
+/// Samples between rising crossings of the mean, over the whole channel.
+fn typical_cycle(channel: &[f64]) -> usize {
+    let mean = channel.iter().sum::<f64>() / channel.len().max(1) as f64;
+    let rms = (channel.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / channel.len().max(1) as f64).sqrt();
+    let (mut low, mut count) = (false, 0);
+    for x in channel {
+        if x - mean < -0.3 * rms {
+            low = true;
+        } else if low && x - mean > 0.3 * rms {
+            low = false;
+            count += 1;
+        }
+    }
+    (channel.len() / (count + 1)).max(1)
+}
+
+/// Whether something brings the mass back: a spring, or a cubic one.
+pub fn is_held(spec: &ModelSpec) -> bool {
+    spec.isolator.stiffness_n_m.first().is_some_and(|k| *k > 0.0)
+        || spec.effects.iter().any(|effect| effect.name == "cubic-stiffness")
+}
+
+/// Runs the model beside the measurement. `drive_noise` is added to the drive (may be empty).
+///
+/// # Errors
+/// [`CompareError::Model`] for a model that cannot be built.
+pub fn simulate(
+    measured: &Measured,
+    spec: &ModelSpec,
+    drive_noise: &[f64],
+) -> Result<(Method, Channels, Vec<Range<usize>>), CompareError> {
+    let specimen = build(spec, measured.dt_s)?;
+    let observer = Observer::new(spec, measured.dt_s)?;
+    let n = measured.len();
+    let mut run = Run { measured, drive_noise, specimen, observer, out: Channels::default() };
+    run.out.model_a.reserve_exact(n);
+    run.out.model_d.reserve_exact(n);
+    run.out.regime.reserve_exact(n);
+    run.out.outward.reserve_exact(n);
+    let whole = |from: usize| std::iter::once(from..n).collect::<Vec<_>>();
+    let (method, free) = if measured.kind == Kind::Component {
+        run.impose(0..n);
+        (Method::Imposed, whole(0))
+    } else if !is_held(spec) && !measured.d.is_empty() {
+        let (sync, horizon) = ((measured.cycle / 4).max(2), (measured.cycle / 4).max(2));
+        let mut free = Vec::new();
+        let mut at = 0;
+        while at < n {
+            let (middle, end) = ((at + sync).min(n), (at + sync + horizon).min(n));
+            run.impose(at..middle);
+            run.step(middle..end);
+            free.push(middle..end);
+            at = end;
+        }
+        (Method::ShortHorizons { horizon_s: horizon as f64 * measured.dt_s }, free)
+    } else {
+        let start = measured.imposed_start();
+        run.impose(0..start);
+        run.step(start..n);
+        let from_s = start as f64 * measured.dt_s;
+        (if start > 0 { Method::WarmStart { from_s } } else { Method::FromRest }, whole(start))
+    };
+    Ok((method, run.out, free))
+}
+
+struct Run<'a> {
+    measured: &'a Measured,
+    drive_noise: &'a [f64],
+    specimen: Box<dyn Specimen>,
+    observer: Observer,
+    out: Channels,
+}
+
+impl Run<'_> {
+    fn drive(&self, sample: usize) -> f64 {
+        let noise = self.drive_noise.get(sample).copied().unwrap_or(0.0);
+        self.measured.drive.get(sample).copied().unwrap_or(0.0) + noise
+    }
+
+    fn impose(&mut self, range: Range<usize>) {
+        let Some(last) = range.clone().last() else { return };
+        for i in range {
+            let v = self.measured.velocity(i, self.measured.cycle);
+            let response = self.specimen.impose(self.measured.d[i], v);
+            self.push(i, &response);
+        }
+        self.specimen.prime(self.drive(last));
+    }
+
+    fn step(&mut self, range: Range<usize>) {
+        for i in range {
+            let drive = self.drive(i);
+            let response = self.specimen.step(drive);
+            self.push(i, &response);
+        }
+    }
+
+    fn push(&mut self, sample: usize, response: &crate::model::Response) {
+        let seen = self.observer.observe(response);
+        let mean = 0.5 * (seen.mass_acceleration_1_m_s2 + seen.mass_acceleration_2_m_s2);
+        let a = match self.measured.kind {
+            Kind::Force => mean - self.drive(sample),
+            Kind::Base => mean,
+            // A force sensor knows nothing of the accelerometers' effects.
+            Kind::Component => response.mass_acceleration_m_s2,
+        };
+        self.out.model_a.push(a);
+        self.out.model_d.push(seen.relative_displacement_m);
+        self.out.regime.push(response.regime);
+        self.out.outward.push(response.relative_displacement_m * response.relative_velocity_m_s > 0.0);
+    }
+}
+
+/// White noise like that of the driving channel, once more: what it makes of the response is what the
+/// noise already there has made. Empty where the drive is not measured or silent.
+///
+/// `input_noise` is in the unit of the record's input channel.
+pub fn drive_noise(measured: &Measured, input_noise: f64) -> Vec<f64> {
+    let sigma = if measured.kind == Kind::Force { input_noise / measured.mass_kg } else { input_noise };
+    match rand_distr::Normal::new(0.0, sigma) {
+        Ok(normal) if sigma > 0.0 => {
+            let random = rand_pcg::Pcg64::seed_from_u64(1);
+            random.sample_iter(normal).take(measured.drive.len()).collect()
+        }
+        _ => Vec::new(),
+    }
+}
