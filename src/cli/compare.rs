@@ -5,6 +5,7 @@ use super::{CliError, Outcome};
 use crate::compare::{Comparison, Method, Slice, compare};
 use crate::config::builtin;
 use crate::model::ModelSpec;
+use crate::record::quality;
 use std::fmt::Write;
 
 /// Compare a record with a model: by step, regime, phase and amplitude, against the noise floor.
@@ -28,7 +29,12 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let source = builtin::find("models", &args.model).map_err(|error| CliError::Usage(error.into()))?;
     let spec: ModelSpec = source.parse().map_err(|error| CliError::Usage(error.into()))?;
     let record = args.record.open()?;
-    let comparison = compare(&record, &spec).map_err(CliError::failed)?;
+    let comparison = compare(&record, &spec).map_err(|error| {
+        // A bad record is named as such even where it cannot be compared.
+        let findings = quality::examine(&record);
+        let texts: Vec<String> = findings.into_iter().map(|finding| finding.text).collect();
+        CliError::failed(format!("{error}{}{}", if texts.is_empty() { "" } else { "; " }, texts.join("; ")))
+    })?;
     if args.json {
         println!("{}", serde_json::to_string(&comparison).map_err(CliError::failed)?);
     } else {
@@ -63,6 +69,10 @@ fn text(comparison: &Comparison) -> Result<String, std::fmt::Error> {
     }
     if let Some([low, high]) = comparison.band_hz {
         writeln!(out, "both sides band-passed {low:.3}-{high:.1} Hz")?;
+    }
+    for finding in &comparison.quality {
+        let channel = finding.channel.map(|channel| format!(", {channel}")).unwrap_or_default();
+        writeln!(out, "the record ({:?}{channel}): {}", finding.severity, finding.text)?;
     }
     writeln!(out, "\n{:<22}{:>10}{:>14}", "", "NRMSE", "noise floor")?;
     if error.nrmse_force.is_some() {

@@ -26,6 +26,7 @@ pub use slices::Slice;
 pub use window::{Window, windows};
 
 use crate::model::{ModelError, ModelSpec};
+use crate::record::quality::{self, Finding};
 use crate::record::{Kind, Record};
 use crate::sweep::Direction;
 use band::Band;
@@ -141,6 +142,8 @@ pub struct Comparison {
     pub times: Vec<Slice>,
     /// Residual force over displacement and velocity.
     pub residual_force: Option<ForceMap>,
+    /// What is wrong with the record itself; to be read before the rest.
+    pub quality: Vec<Finding>,
     /// Where most of the misfit lives.
     pub sentence: String,
     /// What was noticed or repaired.
@@ -172,7 +175,7 @@ pub fn compare(record: &Record, spec: &ModelSpec) -> Result<Comparison, CompareE
     let band = if held { Band::of(record, &windows) } else { None };
     let floor = noise::in_band(record, &windows, band.as_ref());
     let hiss = response::drive_noise(&measured, floor.input);
-    let (simulated, hissing, force) = std::thread::scope(|scope| {
+    let (simulated, hissing, force, quality) = std::thread::scope(|scope| {
         let hissing = scope.spawn(|| {
             if hiss.is_empty() {
                 None
@@ -181,8 +184,9 @@ pub fn compare(record: &Record, spec: &ModelSpec) -> Result<Comparison, CompareE
             }
         });
         let force = scope.spawn(|| force::residual(&measured, spec, &windows));
+        let quality = scope.spawn(|| quality::examine(record));
         let simulated = response::simulate(&measured, spec, &[]);
-        (simulated, hissing.join(), force.join())
+        (simulated, hissing.join(), force.join(), quality.join())
     });
     let (method, mut channels, free) = simulated?;
     let mut hissing = hissing.ok().flatten();
@@ -231,6 +235,7 @@ pub fn compare(record: &Record, spec: &ModelSpec) -> Result<Comparison, CompareE
         times: gathered
             .named(&gathered.times, |i| ["first third", "middle third", "last third"][i.min(2)].to_owned()),
         residual_force: force.map(|force| force.map),
+        quality: quality.unwrap_or_default(),
         sentence,
         notes,
         channels,

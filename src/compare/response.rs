@@ -124,22 +124,27 @@ impl Measured {
         (sum(sample + 1..to + 1) - sum(from..sample)) / wide as f64 / ((wide + 1) as f64 * self.dt_s)
     }
 
-    /// Length of the imposed beginning, samples: none when the record starts from rest.
+    /// Length of the imposed beginning, samples: none when the record starts from rest, which the
+    /// position and speed over its first tenth of a cycle tell.
     fn imposed_start(&self) -> usize {
         let n = self.d.len();
-        let first = self.cycle.min(n);
-        if first < 4 {
+        let half = self.cycle / 20;
+        if half == 0 || 2 * half > n {
             return 0;
         }
-        let rms = |range: &[f64]| {
-            let mean = range.iter().sum::<f64>() / range.len() as f64;
-            (range.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / range.len() as f64).sqrt()
-        };
+        let mean = |range: &[f64]| range.iter().sum::<f64>() / range.len().max(1) as f64;
+        let (early, late) = (mean(&self.d[..half]), mean(&self.d[half..2 * half]));
+        let rms = mean(&self.d.iter().map(|d| d * d).collect::<Vec<f64>>()).sqrt();
         // A neighbour's difference holds the noise and hardly any motion.
-        let steps = self.d[..first].windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum::<f64>();
-        let noise = (0.5 * steps / first as f64).sqrt();
-        let start = rms(&self.d[..first]);
-        if start > 0.05 * rms(&self.d) && start > 3.0 * noise { (2 * self.cycle).min(n / 5) } else { 0 }
+        let pairs: Vec<f64> =
+            self.d.windows(2).take(self.cycle).map(|pair| (pair[1] - pair[0]).powi(2)).collect();
+        let noise = (0.5 * mean(&pairs) / half as f64).sqrt();
+        let turn = half as f64 * std::f64::consts::TAU / self.cycle as f64;
+        let place = 0.5 * (early + late).abs();
+        let speed = (late - early).abs() / turn;
+        let moves =
+            (place > 0.1 * rms && place > 4.0 * noise) || (speed > 0.1 * rms && speed > 6.0 * noise / turn);
+        if moves { (2 * self.cycle).min(n / 5) } else { 0 }
     }
 }
 

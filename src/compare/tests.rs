@@ -1,1 +1,196 @@
+use super::*;
+use crate::model::testing::{b1_g2, effect, oscillator};
+use crate::model::{ModelSpec, build};
+use rand::{Rng, SeedableRng};
+use std::f64::consts::TAU;
 
+const RATE: f64 = 1024.0;
+
+/// Noise of the sensors.
+#[derive(Clone, Copy)]
+struct Noise {
+    acceleration_m_s2: f64,
+    displacement_m: f64,
+}
+
+const QUIET: Noise = Noise { acceleration_m_s2: 0.0, displacement_m: 0.0 };
+const LAB: Noise = Noise { acceleration_m_s2: 0.01, displacement_m: 3e-5 };
+
+/// A record of the specimen under steps of ten cycles at given frequencies, joined at phase 0.
+fn swept(spec: &ModelSpec, hz: &[f64], amplitude_m_s2: f64, noise: Noise) -> Record {
+    let mut record = Record::empty("test", Kind::Base, RATE);
+    let mut specimen = build(spec, 1.0 / RATE).expect("valid");
+    let mut random = rand_pcg::Pcg64::seed_from_u64(5);
+    let mut hiss = move |sigma: f64| {
+        let x: f64 = random.sample(rand_distr::StandardNormal);
+        sigma * x
+    };
+    for (step, f) in hz.iter().enumerate() {
+        for i in 0..(10.0 * RATE / f) as usize {
+            let table = amplitude_m_s2 * (TAU * f * i as f64 / RATE).sin();
+            let response = specimen.step(table);
+            let a = response.mass_acceleration_m_s2;
+            record.time_s.push(record.time_s.len() as f64 / RATE);
+            record.table_acceleration_m_s2.push(table + hiss(noise.acceleration_m_s2));
+            record.mass_acceleration_1_m_s2.push(a + 0.02 + hiss(noise.acceleration_m_s2));
+            record.mass_acceleration_2_m_s2.push(a - 0.01 + hiss(noise.acceleration_m_s2));
+            record
+                .relative_displacement_m
+                .push(response.relative_displacement_m + hiss(noise.displacement_m));
+            record.step.push(step as i32);
+        }
+    }
+    record
+}
+
+const STEPS: [f64; 9] = [0.8, 1.1, 1.4, 1.7, 2.0, 1.7, 1.4, 1.1, 0.8];
+
+#[test]
+fn the_right_model_leaves_the_noise_floor_and_no_more() {
+    let found = compare(&swept(&b1_g2(), &STEPS, 0.5, LAB), &b1_g2()).expect("comparable");
+    assert_eq!(found.method, Method::FromRest);
+    assert_eq!(found.steps.len(), STEPS.len());
+    let within = |error: Option<f64>, floor: Option<f64>| {
+        let ratio = error.expect("measured") / floor.expect("measured");
+        assert!((0.7..1.3).contains(&ratio), "{ratio}: {:?}", found.error);
+    };
+    within(found.error.nrmse_a, found.error.noise_floor_a);
+    within(found.error.nrmse_d, found.error.noise_floor_d);
+    assert!(found.error.nrmse_a.is_some_and(|e| e < 0.01), "{:?}", found.error);
+    let directions: Vec<_> = found.steps.iter().map(|step| step.direction).collect();
+    assert_eq!(directions[1], Some(Direction::Forward));
+    assert_eq!(directions[7], Some(Direction::Backward));
+}
+
+#[test]
+fn shares_of_disjoint_parts_add_up() {
+    let record = swept(&b1_g2(), &STEPS, 0.5, LAB);
+    let found = compare(&record, &b1_g2()).expect("comparable");
+    let share = |names: &[&str], of: fn(&Slice) -> Option<f64>| -> f64 {
+        found.regimes.iter().filter(|slice| names.contains(&slice.name.as_str())).filter_map(of).sum()
+    };
+    for of in [
+        |s: &Slice| Some(s.share_of_samples),
+        |s: &Slice| s.share_of_misfit_a,
+        |s: &Slice| s.share_of_misfit_force,
+    ] {
+        let all = share(&["free", "right-contact", "left-contact"], of);
+        assert!((all - 1.0).abs() < 1e-9, "{all}");
+    }
+    let phases: f64 = found.phases.iter().map(|slice| slice.share_of_samples).sum();
+    assert!((phases - 1.0).abs() < 1e-9, "{phases}");
+}
+
+#[test]
+fn a_wrong_bumper_is_found_in_contact() {
+    let mut truth = b1_g2();
+    truth.effects.push(effect("bumper-stiffening", &[("kb3_n_m3", 6e8)]));
+    let found = compare(&swept(&truth, &STEPS, 0.5, LAB), &b1_g2()).expect("comparable");
+    let contact: f64 = found
+        .regimes
+        .iter()
+        .filter(|slice| slice.name == "right-contact" || slice.name == "left-contact")
+        .filter_map(|slice| slice.share_of_misfit_force)
+        .sum();
+    assert!(contact > 0.8, "{contact}: {}", found.sentence);
+    assert!(found.sentence.contains("contact"), "{}", found.sentence);
+    let error = found.error;
+    assert!(error.nrmse_a > error.noise_floor_a.map(|floor| 3.0 * floor), "{error:?}");
+}
+
+#[test]
+fn nrmse_is_the_ratio_of_the_two_rms() {
+    // Of a linear specimen whose every number but the mass is 1 % too large nothing but D changes
+    // when D alone is scaled: the error of D is that scale.
+    let spec = oscillator(500.0, 20e3, 1100.0);
+    let mut record = swept(&spec, &[1.0, 1.3], 0.5, QUIET);
+    record.relative_displacement_m.iter_mut().for_each(|d| *d *= 1.04);
+    let found = compare(&record, &spec).expect("comparable");
+    let d = found.error.nrmse_d.expect("measured");
+    assert!((d - 0.04 / 1.04).abs() < 1e-4, "{d}");
+    // The zero of the table's accelerometer is estimated to some 1e-5 of its amplitude.
+    assert!(found.error.nrmse_a.is_some_and(|a| a < 1e-4), "{:?}", found.error);
+    let first = &found.steps[0].harmonics_d[0];
+    assert!((first.residual / first.measured - 0.04 / 1.04).abs() < 1e-4, "{first:?}");
+}
+
+#[test]
+fn a_record_that_starts_in_motion_is_started_there() {
+    let spec = b1_g2();
+    let whole = swept(&spec, &[1.4], 0.5, LAB);
+    let from = whole.len() * 4 / 10;
+    let mut cut = Record::empty("cut", Kind::Base, RATE);
+    cut.time_s = whole.time_s[from..].iter().map(|t| t - whole.time_s[from]).collect();
+    cut.table_acceleration_m_s2 = whole.table_acceleration_m_s2[from..].to_vec();
+    cut.mass_acceleration_1_m_s2 = whole.mass_acceleration_1_m_s2[from..].to_vec();
+    cut.relative_displacement_m = whole.relative_displacement_m[from..].to_vec();
+    let found = compare(&cut, &spec).expect("comparable");
+    assert!(matches!(found.method, Method::WarmStart { .. }), "{:?}", found.method);
+    assert!(found.steps.is_empty());
+    assert!(found.error.nrmse_a.is_some_and(|e| e < 0.03), "{:?}", found.error);
+    assert!(found.error.nrmse_d.is_some_and(|e| e < 0.03), "{:?}", found.error);
+}
+
+#[test]
+fn a_free_mass_is_judged_over_short_horizons() {
+    let mut spec = oscillator(2.0, 0.0, 3.0);
+    spec.effects.push(effect("coulomb-friction", &[("fc_n", 0.5)]));
+    let mut record = swept(&spec, &[4.0, 6.0], 2.0, Noise { acceleration_m_s2: 1e-3, displacement_m: 1e-7 });
+    // A table accelerometer that is off by 1 % would let a free-running model drift away.
+    record.table_acceleration_m_s2.iter_mut().for_each(|a| *a += 0.02);
+    let found = compare(&record, &spec).expect("comparable");
+    assert!(matches!(found.method, Method::ShortHorizons { .. }), "{:?}", found.method);
+    assert!(found.error.nrmse_a.is_some_and(|e| e < 0.05), "{:?}", found.error);
+    assert!(found.error.nrmse_d.is_some_and(|e| e < 0.05), "{:?}", found.error);
+}
+
+#[test]
+fn a_component_is_judged_by_its_force_at_any_magnitude() {
+    // Micrometres at 200 Hz.
+    let rate = 20_000.0;
+    let spec = oscillator(0.003, 4e4, 2.0);
+    let mut record = Record::empty("component", Kind::Component, rate);
+    for i in 0..20_000 {
+        let phase = TAU * 200.0 * i as f64 / rate;
+        let (d, v) = (5e-6 * phase.sin(), 5e-6 * TAU * 200.0 * phase.cos());
+        record.time_s.push(i as f64 / rate);
+        record.displacement_m.push(d);
+        record.force_n.push(1.05 * (4e4 * d + 2.0 * v));
+        record.step.push(0);
+    }
+    let found = compare(&record, &spec).expect("comparable");
+    let force = found.error.nrmse_force.expect("measured");
+    assert!((force - 0.05 / 1.05).abs() < 2e-3, "{force}");
+    assert_eq!(found.error.nrmse_a, found.error.nrmse_force);
+    assert_eq!(found.error.nrmse_d, None);
+}
+
+#[test]
+fn an_applied_force_gives_displacement_and_acceleration() {
+    let spec = oscillator(2.0, 2000.0, 8.0);
+    let mut record = Record::empty("force", Kind::Force, RATE);
+    let mut specimen = build(&spec, 1.0 / RATE).expect("valid");
+    for i in 0..(20.0 * RATE) as usize {
+        let force = 3.0 * (TAU * 4.0 * i as f64 / RATE).sin();
+        let response = specimen.step(-force / 2.0);
+        record.time_s.push(i as f64 / RATE);
+        record.force_n.push(force);
+        record.displacement_m.push(response.relative_displacement_m);
+        record.acceleration_m_s2.push(response.mass_acceleration_m_s2 + force / 2.0);
+        record.step.push(0);
+    }
+    let right = compare(&record, &spec).expect("comparable").error;
+    assert!(right.nrmse_a.is_some_and(|e| e < 1e-6) && right.nrmse_d.is_some_and(|e| e < 1e-6), "{right:?}");
+    let wrong = compare(&record, &oscillator(2.0, 2200.0, 8.0)).expect("comparable").error;
+    assert!(wrong.nrmse_d.is_some_and(|e| e > 0.05), "{wrong:?}");
+}
+
+#[test]
+fn what_is_missing_is_said() {
+    let mut record = swept(&b1_g2(), &[1.4], 0.5, QUIET);
+    record.table_acceleration_m_s2.clear();
+    let error = compare(&record, &b1_g2()).expect_err("refused").to_string();
+    assert!(error.contains("table_acceleration_m_s2"), "{error}");
+    let short = Record { time_s: vec![0.0; 3], ..Record::empty("short", Kind::Base, RATE) };
+    assert!(compare(&short, &b1_g2()).is_err());
+}
