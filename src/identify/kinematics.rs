@@ -69,6 +69,30 @@ pub struct Instruments {
     pub misfit: f64,
 }
 
+impl Instruments {
+    /// Unit gains and no delays, with the noise of the record: where it is too short to tell more.
+    pub fn assumed_sound(record: &Record) -> Self {
+        let rate = record.sample_rate_hz;
+        let noise = |channel: &[f64]| white_noise_rms(&tapered(channel, rate), 0.5, 0.9) / 1.5_f64.sqrt();
+        let sound = |channel: &[f64]| Accelerometer {
+            gain: Estimate { value: 1.0, sigma: 0.0 },
+            noise_m_s2: noise(channel),
+            ..Accelerometer::default()
+        };
+        Self {
+            accelerometers: [
+                sound(&record.mass_acceleration_1_m_s2),
+                sound(&record.mass_acceleration_2_m_s2),
+            ],
+            laser_gain: Estimate { value: 1.0, sigma: 0.0 },
+            laser_noise_m: noise(&record.relative_displacement_m),
+            table_noise_m_s2: noise(&record.table_acceleration_m_s2),
+            misfit: 1.0,
+            ..Self::default()
+        }
+    }
+}
+
 /// Estimates gains, delays, leaks and noise of a base record.
 ///
 /// `None` when the record is not of that kind or too short to tell.
@@ -110,7 +134,7 @@ pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
 
 /// Spectrum under a Hann window, which shows where the motion is without the ends' leakage.
 fn tapered(channel: &[f64], rate: f64) -> Spectrum {
-    let mean = channel.iter().sum::<f64>() / channel.len() as f64;
+    let mean = channel.iter().sum::<f64>() / channel.len().max(1) as f64;
     let window = |i: usize| 1.0 - (std::f64::consts::TAU * i as f64 / channel.len() as f64).cos();
     let windowed: Vec<f64> = channel.iter().enumerate().map(|(i, x)| (x - mean) * window(i)).collect();
     Spectrum::of(&windowed, rate)
