@@ -294,13 +294,14 @@ fn filter(channels: &mut Channels, band: &Band, rate: f64) {
     }
 }
 
-/// RMS of A and D that the noise of the driving channel leaves in the response of the model.
+/// RMS of A and D that the noise of the driving channel leaves in the response of the model, over the
+/// whole steps: what a resonance passes is slow, and the counted cycles hold few of its swings.
 fn propagated(windows: &[Window], one: &Channels, other: &Channels) -> [f64; 2] {
     let rms = |a: &[f64], b: &[f64]| {
         let (mut sum, mut count) = (0.0, 0.0);
         for window in windows {
-            for i in window.counted.clone() {
-                sum += (a[i] - b[i]).powi(2);
+            for (a, b) in a[window.whole.clone()].iter().zip(&b[window.whole.clone()]) {
+                sum += (a - b).powi(2);
                 count += 1.0;
             }
         }
@@ -385,7 +386,7 @@ fn gather(
         let mut sums = Sums::default();
         for range in free {
             let (from, to) = (window.counted.start.max(range.start), window.counted.end.min(range.end));
-            for i in from..to {
+            for (i, at_d) in motion.iter().enumerate().take(to).skip(from) {
                 let sample = Sums {
                     count: 1.0,
                     a: square(&channels.measured_a, &channels.model_a, i),
@@ -399,7 +400,7 @@ fn gather(
                 if let Some(place) = window.cycle_place(at, rate) {
                     out.phases[((12.0 * place) as usize).min(11)] += &sample;
                 }
-                out.amplitudes[((4.0 * motion[i].abs() / largest) as usize).min(3)] += &sample;
+                out.amplitudes[((4.0 * at_d.abs() / largest) as usize).min(3)] += &sample;
                 out.times[(3 * i / n.max(1)).min(2)] += &sample;
             }
         }
