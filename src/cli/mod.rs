@@ -18,6 +18,7 @@ macro_rules! println {
 }
 
 pub mod bench;
+pub mod campaign;
 pub mod compare;
 pub mod doctor;
 pub mod effect;
@@ -53,6 +54,8 @@ enum Command {
     Runs(runs::Args),
     /// Close an interrupted run with what is there.
     Recover(recover::Args),
+    /// Many cases as one study: run, report, compare, diagnose, optimise.
+    Campaign(campaign::Args),
     /// Check what real-time operation needs on this machine.
     Doctor(doctor::Args),
     /// Read a foreign data file, name its channels and units, write it as a record.
@@ -101,6 +104,14 @@ impl CliError {
     }
 }
 
+impl std::fmt::Display for CliError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Usage(report) | Self::Failed(report) => write!(f, "{report}"),
+        }
+    }
+}
+
 /// Runs the command line of this process.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
@@ -109,6 +120,7 @@ pub fn main() -> ExitCode {
         Command::Compare(args) => compare::execute(args),
         Command::Runs(args) => runs::execute(args),
         Command::Recover(args) => recover::execute(args),
+        Command::Campaign(args) => campaign::execute(args),
         Command::Doctor(args) => doctor::execute(args),
         Command::Import(args) => import::execute(args),
         Command::Export(args) => export::execute(args),

@@ -48,18 +48,19 @@ const BUILT_IN: &[(&str, &str, &str)] = &[
     ("models", "andreaus-2020-b4-g2", include_str!("../../config/models/andreaus-2020-b4-g2.toml")),
     ("models", "andreaus-2020-b4-g3", include_str!("../../config/models/andreaus-2020-b4-g3.toml")),
     ("models", "andreaus-2020-b4-g4", include_str!("../../config/models/andreaus-2020-b4-g4.toml")),
+    ("campaigns", "andreaus-2020", include_str!("../../config/campaigns/andreaus-2020.toml")),
     ("sweeps", "andreaus-2020", include_str!("../../config/sweeps/andreaus-2020.toml")),
     ("sweeps", "quick", include_str!("../../config/sweeps/quick.toml")),
     ("sweeps", "log-settled", include_str!("../../config/sweeps/log-settled.toml")),
     ("sweeps", "dwell", include_str!("../../config/sweeps/dwell.toml")),
 ];
 
-/// Names of the built-in configurations of a kind (`rigs`, `sweeps`, `models`).
+/// Names of the built-in configurations of a kind (`rigs`, `sweeps`, `models`, `campaigns`).
 pub fn names(kind: &str) -> impl Iterator<Item = &'static str> {
     BUILT_IN.iter().filter(move |entry| entry.0 == kind).map(|entry| entry.1)
 }
 
-/// Finds a configuration of a kind (`rigs`, `sweeps`, `models`) by path or name.
+/// Finds a configuration of a kind (`rigs`, `sweeps`, `models`, `campaigns`) by path or name.
 ///
 /// # Errors
 /// [`ConfigError::Unreadable`] with the names there are when nothing is found.
@@ -103,6 +104,11 @@ mod tests {
             let model: crate::model::ModelSpec =
                 find("models", name).and_then(|source| source.parse()).expect("valid model");
             assert_eq!(model.name, name);
+        }
+        for name in names("campaigns") {
+            let campaign: crate::campaign::CampaignSpec =
+                find("campaigns", name).and_then(|source| source.parse()).expect("valid campaign");
+            assert_eq!(campaign.name, name);
         }
         for name in names("sweeps") {
             let _: SweepSpec = find("sweeps", name).and_then(|source| source.parse()).expect("valid sweep");

@@ -11,6 +11,7 @@ use crate::control::setup::{Setup, SetupError, model_of_case};
 use crate::control::{Ending, Nrmse, StepSummary, TimingReport};
 use crate::model::ModelSpec;
 use crate::record::RunFolder;
+use crate::record::recorder::Notice;
 use crate::report::{Table, of_run};
 use crate::rig::RigSpec;
 use crate::rig::hardware::HardwareMonitor;
@@ -114,19 +115,10 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         true => Pace::Wall { cpu, require_realtime: args.require_realtime },
         false => Pace::Virtual,
     };
-    let (plan, links) = connect(&setup, &args.out, pace)?;
     let started = std::time::Instant::now();
-    let session = session::start(plan).map_err(CliError::failed)?;
-    if let Some(state) = &session.manifest().real_time {
-        eprintln!("{}", state.line());
-    }
     let mut progress = show::Progress::new(&setup.schedule().map_err(refused)?, setup.rig.sample_rate_hz);
-    let finished = session.wait(|notice| progress.notice(notice)).map_err(CliError::failed)?;
+    let finished = drive(&setup, &args.out, pace, &mut |notice| progress.notice(notice))?;
     progress.finish();
-    let finished = match &links {
-        Some(links) => hardware::close(links, finished)?,
-        None => finished,
-    };
     let table = write_report(&finished.folder, &finished.steps);
     let wall_s = started.elapsed().as_secs_f64();
     if args.json {
@@ -141,6 +133,28 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         Ending::Failed | Ending::Interrupted => {
             Err(CliError::failed(finished.manifest.cause.as_deref().unwrap_or("the run failed")))
         }
+    }
+}
+
+/// Drives a run to its end on the rig of its set-up, and closes its folder.
+///
+/// # Errors
+/// A refused configuration, a rig or a disk that fails; a run that fails on the way is a [`Finished`].
+pub(super) fn drive(
+    setup: &Setup,
+    out: &Path,
+    pace: Pace,
+    show: &mut dyn FnMut(&Notice),
+) -> Result<Finished, CliError> {
+    let (plan, links) = connect(setup, out, pace)?;
+    let session = session::start(plan).map_err(CliError::failed)?;
+    if let Some(state) = &session.manifest().real_time {
+        eprintln!("{}", state.line());
+    }
+    let finished = session.wait(show).map_err(CliError::failed)?;
+    match &links {
+        Some(links) => hardware::close(links, finished),
+        None => Ok(finished),
     }
 }
 
