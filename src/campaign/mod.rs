@@ -6,6 +6,8 @@
 //! case leaves one result; runs resume, may be spread over machines, and results never depend on who ran
 //! them or in which order.
 
+pub mod ideal;
+pub mod peaks;
 pub mod runner;
 pub mod spec;
 pub mod store;

@@ -442,3 +442,7 @@ fn filled(blank: CaseResult, manifest: &Manifest, steps: Vec<StepSummary>, at_hz
         ..blank
     }
 }
+
+#[cfg(test)]
+#[path = "runner_tests.rs"]
+mod tests;

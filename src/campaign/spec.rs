@@ -32,6 +32,9 @@ pub struct CampaignSpec {
     /// f_R of nu = f / f_R, Hz.
     #[serde(default = "default_reference_hz")]
     pub reference_hz: f64,
+    /// What the pseudo-resonance is the largest of; the paper leaves it open.
+    #[serde(default)]
+    pub pseudo_resonance: ResonanceOf,
     /// Bumper that the first problem is normalised by (free flight).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub free: Option<String>,
@@ -111,6 +114,17 @@ pub struct Block {
     /// Peak accelerations of the table, g.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub accelerations_g: Option<Vec<f64>>,
+}
+
+/// What the pseudo-resonance is the largest of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ResonanceOf {
+    /// The excursion.
+    #[default]
+    Excursion,
+    /// The acceleration of the mass.
+    Acceleration,
 }
 
 /// What is changed least often.
@@ -374,6 +388,14 @@ impl Configuration {
         };
         let cases = spec.cases();
         Ok(Self { spec, rig, sweep, model, specimen, published, cases })
+    }
+
+    /// What nu_R means in this campaign.
+    pub fn resonance(&self) -> super::peaks::Resonance {
+        super::peaks::Resonance {
+            reference_hz: self.spec.reference_hz,
+            by_acceleration: self.spec.pseudo_resonance == ResonanceOf::Acceleration,
+        }
     }
 
     /// The model of a case: mass and isolator as they are, the bumper of the case.
