@@ -15,6 +15,7 @@ pub mod cli;
 pub mod compare;
 pub mod config;
 pub mod control;
+pub mod daemon;
 pub mod diagnose;
 pub mod identify;
 pub mod model;

@@ -19,18 +19,26 @@ macro_rules! println {
 
 pub mod bench;
 pub mod campaign;
+pub mod client;
 pub mod compare;
+pub mod completions;
 pub mod doctor;
 pub mod effect;
 pub mod emulate;
 pub mod export;
+pub mod hold;
 pub mod import;
 pub mod reading;
 pub mod recover;
 pub mod replay;
 pub mod run;
 pub mod runs;
+pub mod serve;
 pub mod simulate;
+pub mod start;
+pub mod status;
+pub mod stop;
+pub mod watch;
 
 use clap::Parser;
 use std::process::ExitCode;
@@ -50,6 +58,22 @@ enum Command {
     Run(run::Args),
     /// Tell where a model fails against a record.
     Compare(compare::Args),
+    /// Start the daemon with its page.
+    Serve(serve::Args),
+    /// Show how the bench of a running daemon stands.
+    Status(status::Args),
+    /// Check, arm and start what is set up in a running daemon.
+    Start(start::Args),
+    /// Bring the table of a running daemon to rest.
+    Stop(stop::Args),
+    /// Keep the sweep of a running daemon in its step, or let it go on.
+    Hold(hold::Args),
+    /// Follow a running daemon until its run has ended.
+    Watch(watch::Args),
+    /// Print completions for a shell.
+    Completions(completions::Args),
+    /// Write the manual pages.
+    Man(completions::ManArgs),
     /// List recorded runs, or check one.
     Runs(runs::Args),
     /// Close an interrupted run with what is there.
@@ -118,6 +142,14 @@ pub fn main() -> ExitCode {
     let result = match cli.command {
         Command::Run(args) => run::execute(args),
         Command::Compare(args) => compare::execute(args),
+        Command::Serve(args) => serve::execute(args),
+        Command::Status(args) => status::execute(args),
+        Command::Start(args) => start::execute(args),
+        Command::Stop(args) => stop::execute(args),
+        Command::Hold(args) => hold::execute(args),
+        Command::Watch(args) => watch::execute(args),
+        Command::Completions(args) => completions::execute(args),
+        Command::Man(args) => completions::man(args),
         Command::Runs(args) => runs::execute(args),
         Command::Recover(args) => recover::execute(args),
         Command::Campaign(args) => campaign::execute(args),

@@ -119,6 +119,15 @@ pub enum Event {
         /// Which limit.
         cause: Cause,
     },
+    /// What the operator's side asked for is in force from this cycle on.
+    Obeyed {
+        /// Cycle.
+        cycle: u64,
+        /// What was asked.
+        request: super::step::Request,
+        /// When its first command went out, ns of the monotonic clock.
+        at_ns: u64,
+    },
     /// A step of the sweep is finished.
     Step(StepSummary),
     /// The run is over.

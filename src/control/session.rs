@@ -15,6 +15,7 @@ use crate::stream::{Depths, OperatorEnd, ViewEnd, split};
 use crate::sweep::Generator;
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
 use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{JoinHandle, Thread};
 use std::time::Duration;
 
@@ -70,12 +71,27 @@ pub struct Plan {
     pub depths: Depths,
 }
 
+/// A handle through which anyone may ask the control thread of a run; clones ask the same one.
+#[derive(Clone)]
+pub struct Operator(Arc<Mutex<OperatorEnd<Request>>>);
+
+impl Operator {
+    /// Asks the control thread for something; it looks once a period.
+    ///
+    /// # Errors
+    /// The request when its ring is full, which means that the control thread has not run for long.
+    pub fn ask(&self, request: Request) -> Result<(), Request> {
+        // The lock is held for the push only; a holder that died has left the ring whole.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).ask(request)
+    }
+}
+
 /// A run that goes on.
 pub struct Session {
     folder: RunFolder,
     manifest: Manifest,
     notices: Receiver<Notice>,
-    operator: OperatorEnd<Request>,
+    operator: Operator,
     view: Option<ViewEnd>,
     control: JoinHandle<(Ending, TimingReport)>,
     recorder: JoinHandle<Recorded>,
@@ -126,6 +142,7 @@ pub fn start(plan: Plan) -> Result<Session, SessionError> {
         Err(_) => return Err(SessionError::Died("control")),
     }
     folder.write_manifest(&manifest)?;
+    let operator = Operator(Arc::new(Mutex::new(operator)));
     Ok(Session { folder, manifest, notices, operator, view: Some(view), control, recorder })
 }
 
@@ -224,12 +241,17 @@ impl Session {
         self.operator.ask(request)
     }
 
+    /// A handle for asking that outlives [`Session::wait`].
+    pub fn operator(&self) -> Operator {
+        self.operator.clone()
+    }
+
     /// Waits for the end, showing every notice, and closes the folder. A recorder that cannot write any
     /// more stops the run.
     ///
     /// # Errors
     /// [`SessionError`] when a thread died or the folder cannot be closed.
-    pub fn wait(mut self, mut show: impl FnMut(&Notice)) -> Result<Finished, SessionError> {
+    pub fn wait(self, mut show: impl FnMut(&Notice)) -> Result<Finished, SessionError> {
         while let Ok(notice) = self.notices.recv() {
             if matches!(notice, Notice::Failed(_)) {
                 // A full request ring means that the thread is not running: nothing left to stop.

@@ -23,7 +23,8 @@ const TAIL_PERIODS: u64 = 512;
 const LIVE_PERIODS: u64 = 512;
 
 /// What the operator's side may ask of the control thread.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Request {
     /// Stay in the present step once its counted cycles are done.
     Hold,
@@ -279,13 +280,18 @@ impl Controller {
 
     /// Gives the one command of this period.
     fn command(&mut self) {
+        let mut obeyed = None;
         while let Some(request) = self.end.request() {
             self.obey(request);
+            obeyed = Some(request);
         }
         let point = self.next_point();
         self.references.push(point);
         if let Err(fault) = self.rig.write(&point.command) {
             self.fault(fault);
+        }
+        if let Some(request) = obeyed {
+            self.end.event(Event::Obeyed { cycle: self.cycle, request, at_ns: now_ns() });
         }
         self.lap(Phase::Command);
     }

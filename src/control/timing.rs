@@ -155,6 +155,7 @@ impl Timing {
             cycles: self.step.len(),
             slips: self.slips,
             skipped_periods: self.skipped_periods,
+            latency_histogram: classes(&self.latency),
             wake_up_latency: percentiles(&self.latency),
             period_error: percentiles(&self.period_error),
             step: percentiles(&self.step),
@@ -206,6 +207,9 @@ pub struct TimingReport {
     pub slips: u64,
     /// Periods skipped in all slips together.
     pub skipped_periods: u64,
+    /// Histogram of the wake-up latency: upper end of each class (us, each twice the one before), count.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub latency_histogram: Vec<(f64, u64)>,
     /// From the deadline to the start of the step; zeros in virtual time.
     pub wake_up_latency: Percentiles,
     /// Deviation of the distance of two starts from the period; zeros in virtual time.
@@ -214,6 +218,14 @@ pub struct TimingReport {
     pub step: Percentiles,
     /// Each phase of the step.
     pub phases: Vec<PhaseTiming>,
+}
+
+/// Classes of a histogram of nanoseconds, from 1 us on, each twice as wide as the one before.
+fn classes(histogram: &Histogram<u64>) -> Vec<(f64, u64)> {
+    let class = |c: hdrhistogram::iterators::IterationValue<u64>| {
+        (c.value_iterated_to() as f64 / 1e3, c.count_since_last_iteration())
+    };
+    histogram.iter_log(1000, 2.0).map(class).collect()
 }
 
 /// Percentiles of a histogram of nanoseconds.
@@ -248,6 +260,8 @@ mod tests {
         }
         timing.slip(3);
         let report = timing.report();
+        assert_eq!(report.latency_histogram.iter().map(|class| class.1).sum::<u64>(), 1000);
+        assert!(report.latency_histogram.iter().all(|(us, n)| *us < 600.0 || *n > 0), "{report:?}");
         assert_eq!((report.cycles, report.slips, report.skipped_periods), (1000, 1, 3));
         assert!((report.wake_up_latency.p50_us - 500.0).abs() < 1.0);
         assert!((report.wake_up_latency.p999_us - 999.0).abs() < 2.0);

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// A model file: mass, isolator, bumpers, effects, and how uncertain its numbers are.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ModelSpec {
     /// Name shown in reports.
@@ -25,7 +25,7 @@ pub struct ModelSpec {
 }
 
 /// Odd, piecewise-linear elastic force with linear viscous damping.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct IsolatorSpec {
     /// Slopes, N/m, one more than breakpoints; a single number is accepted.
@@ -39,7 +39,7 @@ pub struct IsolatorSpec {
 }
 
 /// Two equal Kelvin-Voigt bumpers with massless tips and a total clearance.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BumperSpec {
     /// Stiffness of one bumper, N/m.
@@ -51,7 +51,7 @@ pub struct BumperSpec {
 }
 
 /// One effect: its public name, its parameters, and the text of an `expression`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct EffectSpec {
     /// Name as in the catalogue.
     pub name: String,
@@ -64,7 +64,7 @@ pub struct EffectSpec {
 }
 
 /// Relative half-widths (95 %) of the base model's numbers.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Uncertainty {
     /// Of the mass.
@@ -79,7 +79,7 @@ pub struct Uncertainty {
 }
 
 /// Relative half-widths (95 %) of the isolator's numbers.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct IsolatorUncertainty {
     /// Of each slope.
@@ -94,7 +94,7 @@ pub struct IsolatorUncertainty {
 }
 
 /// Relative half-widths (95 %) of the bumpers' numbers.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BumperUncertainty {
     /// Of the stiffness.

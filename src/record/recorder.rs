@@ -112,10 +112,15 @@ impl Recorder {
         notices: Sender<Notice>,
     ) -> Result<Self, RunError> {
         let create = |path: std::path::PathBuf| File::create(&path).map(BufWriter::new).map_err(io(&path));
+        // Appended to, as the daemon writes down there what operators do; a line is written at once.
+        let append = |path: std::path::PathBuf| {
+            let options = std::fs::OpenOptions::new().create(true).append(true).clone();
+            options.open(&path).map(BufWriter::new).map_err(io(&path))
+        };
         let [stop, at_end] = folder.reserves();
         let mut recorder = Self {
             samples: SampleWriter::create(&folder.samples(), sample_rate_hz)?,
-            events: create(folder.events())?,
+            events: append(folder.events())?,
             steps: create(folder.steps())?,
             integrity: create(folder.integrity())?,
             reserves: [

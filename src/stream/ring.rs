@@ -43,6 +43,8 @@ pub struct Losses {
     record: AtomicU64,
     live: AtomicU64,
     events: AtomicU64,
+    /// Rows that waited for the recorder when it last looked, per mille of its ring.
+    waiting: AtomicU64,
 }
 
 /// One reading of [`Losses`].
@@ -124,6 +126,7 @@ pub struct RecorderEnd<E> {
 impl<E> RecorderEnd<E> {
     /// Moves what has arrived into `rows`, at most up to its capacity; returns how many.
     pub fn take_rows(&mut self, rows: &mut Vec<Row>) -> usize {
+        self.losses.waiting.store((1e3 * self.fill()) as u64, Ordering::Relaxed);
         let before = rows.len();
         let room = rows.capacity() - before;
         rows.extend(self.rows.pop_iter().take(room));
@@ -163,9 +166,19 @@ impl ViewEnd {
         self.rows.try_pop()
     }
 
+    /// Whether the control thread has let its end go; what is still in the ring remains readable.
+    pub fn closed(&self) -> bool {
+        !self.rows.write_is_held()
+    }
+
     /// What was dropped so far.
     pub fn losses(&self) -> Lossy {
         self.losses.read()
+    }
+
+    /// Share of the recorder's ring that waited when the recorder last looked, 0 to 1.
+    pub fn record_fill(&self) -> f64 {
+        1e-3 * self.losses.waiting.load(Ordering::Relaxed) as f64
     }
 }
 

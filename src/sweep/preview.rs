@@ -27,7 +27,7 @@ pub struct Quantity {
 }
 
 /// The quantities that are checked.
-pub(super) const QUANTITIES: [Quantity; 5] = [
+pub(super) static QUANTITIES: [Quantity; 5] = [
     Quantity {
         name: "displacement",
         unit: "mm",
@@ -117,7 +117,7 @@ impl Preview {
     /// [`SweepError::BeyondCapacity`] names the first step and quantity that exceed.
     pub fn check(&self) -> Result<(), SweepError> {
         for row in &self.rows {
-            for quantity in QUANTITIES {
+            for quantity in &QUANTITIES {
                 let (asked, allowed) = ((quantity.asked)(row), (quantity.allowed)(&self.capacity));
                 if asked > allowed {
                     return Err(SweepError::BeyondCapacity {
@@ -133,6 +133,11 @@ impl Preview {
             }
         }
         Ok(())
+    }
+
+    /// The quantities that are checked.
+    pub fn quantities() -> &'static [Quantity] {
+        &QUANTITIES
     }
 
     /// Peaks of every segment, in order.

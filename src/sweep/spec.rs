@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// A sweep file. The frequencies are given in one of four ways: `start_hz`, `stop_hz` with `step_hz`
 /// (equal steps) or with `steps_per_octave` (equal ratios); `frequencies_hz` (a list); `dwell_hz` (one).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SweepSpec {
     /// Lowest frequency, Hz.
@@ -54,7 +54,7 @@ pub struct SweepSpec {
 }
 
 /// Waiting, before the counted cycles of a step, until the peak changes little from cycle to cycle.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Settling {
     /// Relative change of the peak from one cycle to the next that counts as settled.
@@ -65,7 +65,7 @@ pub struct Settling {
 }
 
 /// Which way the frequencies are run through.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum SweepDirection {
     /// Up, then down; the highest frequency is held in both.
@@ -78,7 +78,7 @@ pub enum SweepDirection {
 }
 
 /// How steps are joined.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Transition {
     /// Frequency and amplitude glide over whole cycles outside the counted ones, ramps at both ends.

@@ -9,7 +9,7 @@ use crate::rig::hardware::HardwareMonitor;
 ///
 /// # Errors
 /// The manifest cannot be written.
-pub(super) fn close(links: &HardwareMonitor, mut finished: Finished) -> Result<Finished, CliError> {
+pub(crate) fn close(links: &HardwareMonitor, mut finished: Finished) -> Result<Finished, CliError> {
     let complaints = links.complaints();
     for line in &complaints {
         eprintln!("{line}");

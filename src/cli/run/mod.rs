@@ -1,6 +1,6 @@
 //! `shaketable run`: drives a sweep on the rig, shows it, leaves a run folder.
 
-mod hardware;
+pub(crate) mod hardware;
 mod show;
 
 use super::{CliError, Outcome};

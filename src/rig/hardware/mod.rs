@@ -8,7 +8,7 @@ mod signature;
 mod spec;
 
 pub use emulated::{SimulatedPlant, lab_settings};
-pub use preflight::{ChannelCheck, Preflight, PreflightError};
+pub use preflight::{ChannelCheck, Preflight, PreflightError, check_loop};
 pub use signature::{Finding, Response};
 pub use spec::{DaqSpec, DriveLinkSpec, HardwareSpec, ObjectSpec, PreflightSpec};
 

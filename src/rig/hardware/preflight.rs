@@ -5,7 +5,7 @@
 //! operator and stored with the run.
 
 use super::signature::{Finding, NAMES, Response, delay_s, judge, ratios};
-use super::{HardwareRig, HardwareSpec};
+use super::{HardwareRig, HardwareSpec, PreflightSpec};
 use crate::control::clock::{Clock, WallClock};
 use crate::rig::{Rig, RigFault};
 use crate::stream::{Command, Sample};
@@ -108,27 +108,56 @@ pub(super) fn run(
     spec: &HardwareSpec,
     rate_hz: f64,
 ) -> Result<Preflight, PreflightError> {
-    let check = &spec.preflight;
     let found_at_m = rig.drive.position_m();
     let mut clock = WallClock::new(rate_hz);
+    let measured = centre(rig, &mut clock, &spec.preflight, rate_hz, found_at_m)
+        .and_then(|()| check_loop(rig, &mut clock, &spec.preflight, rate_hz));
+    let clock_drift_ppm = rig.daq.counters().clock.drift_ppm;
+    measured
+        .map(|report| Preflight { clock_drift_ppm, found_at_m, ..report })
+        .map_err(|error| explained(rig, error))
+}
+
+/// Brings the table to its centre.
+fn centre(
+    rig: &mut dyn Rig,
+    clock: &mut dyn Clock,
+    check: &PreflightSpec,
+    rate_hz: f64,
+    found_at_m: f64,
+) -> Result<(), PreflightError> {
     let way_s = (2.0 * found_at_m.abs() / check.centre_speed_m_s).max(0.5);
     if found_at_m.abs() > CENTRED_M {
-        drive_through(rig, &mut clock, rate_hz, way_s, |t| to_centre(found_at_m, t / way_s, way_s))?;
+        drive_through(rig, clock, rate_hz, way_s, |t| to_centre(found_at_m, t / way_s, way_s))?;
     }
-    let rest = drive_through(rig, &mut clock, rate_hz, REST_S, |_| Command::default())?;
+    Ok(())
+}
+
+/// Zeros and noise of a rig at rest in its centre, then the small sine; any rig, real or simulated. Drive and DAQ
+/// stay unnamed.
+///
+/// # Errors
+/// [`PreflightError`] when the rig fails meanwhile, too few samples come or something is wired wrongly.
+pub fn check_loop(
+    rig: &mut dyn Rig,
+    clock: &mut dyn Clock,
+    check: &PreflightSpec,
+    rate_hz: f64,
+) -> Result<Preflight, PreflightError> {
+    let rest = drive_through(rig, clock, rate_hz, REST_S, |_| Command::default())?;
     let sine = Sine::new(check.frequency_hz, check.amplitude_m, check.cycles);
-    let moved = drive_through(rig, &mut clock, rate_hz, sine.duration_s(), |t| sine.at(t))?;
+    let moved = drive_through(rig, clock, rate_hz, sine.duration_s(), |t| sine.at(t))?;
     // The last word is rest, which the link may carry forward for as long as it likes.
-    drive_through(rig, &mut clock, rate_hz, 0.05, |_| Command::default())?;
+    drive_through(rig, clock, rate_hz, 0.05, |_| Command::default())?;
     let response = sine.response(&moved, rate_hz)?;
     let findings = judge(&response, check.gain_tolerance, check.longest_delay_s);
     if !findings.is_empty() {
         return Err(PreflightError::Findings(findings));
     }
-    Ok(report(rig, &rest, &response, found_at_m))
+    Ok(report(&rest, &response))
 }
 
-fn report(rig: &HardwareRig, rest: &Taken, response: &Response, found_at_m: f64) -> Preflight {
+fn report(rest: &Taken, response: &Response) -> Preflight {
     let [x, a, a1, a2] = ratios(response).map(|ratio| ratio.norm());
     // The laser takes part in both accelerometers' ratios.
     let gains = [x, a, a1, a2, 2.0 / (a1 + a2)];
@@ -138,14 +167,7 @@ fn report(rig: &HardwareRig, rest: &Taken, response: &Response, found_at_m: f64)
             ChannelCheck { channel: NAMES[i], zero, noise, gain: gains[i] }
         })
         .collect();
-    Preflight {
-        chain_delay_s: delay_s(response),
-        table_gain: x,
-        clock_drift_ppm: rig.daq.counters().clock.drift_ppm,
-        found_at_m,
-        channels,
-        ..Preflight::default()
-    }
+    Preflight { chain_delay_s: delay_s(response), table_gain: x, channels, ..Preflight::default() }
 }
 
 fn values(sample: &Sample) -> [f64; 5] {
@@ -165,35 +187,40 @@ fn mean_and_deviation(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
     (mean, (values.map(|v| (v - mean).powi(2)).sum::<f64>() / count).sqrt())
 }
 
-/// Plays a command in real time, as the control thread would, and keeps what is measured.
+/// Plays a command as the control thread would, and keeps what is measured.
 fn drive_through(
-    rig: &mut HardwareRig,
-    clock: &mut WallClock,
+    rig: &mut dyn Rig,
+    clock: &mut dyn Clock,
     rate_hz: f64,
     duration_s: f64,
     command: impl Fn(f64) -> Command,
 ) -> Result<Taken, PreflightError> {
+    let failed = |fault: RigFault| PreflightError::Rig { reason: fault.to_string(), fault };
     let periods = (duration_s * rate_hz).ceil() as u64;
     let mut taken = Taken { samples: Vec::with_capacity(periods as usize + 64), periods: 0 };
     while taken.periods < periods {
-        taken.periods += clock.tick().periods;
-        loop {
-            match rig.read() {
-                Ok(Some(sample)) => taken.samples.push((taken.periods, sample)),
-                Ok(None) => break,
-                Err(fault) => return Err(failed(rig, fault)),
-            }
+        let passed = clock.tick().periods;
+        taken.periods += passed;
+        for _ in 0..passed {
+            rig.advance();
         }
-        let written = rig.write(&command(taken.periods as f64 / rate_hz));
-        written.map_err(|fault| failed(rig, fault))?;
+        while let Some(sample) = rig.read().map_err(failed)? {
+            taken.samples.push((taken.periods, sample));
+        }
+        rig.write(&command(taken.periods as f64 / rate_hz)).map_err(failed)?;
     }
     Ok(taken)
 }
 
-fn failed(rig: &HardwareRig, fault: RigFault) -> PreflightError {
+/// The error in the words of the link that failed, where it has any.
+fn explained(rig: &HardwareRig, error: PreflightError) -> PreflightError {
     let complaints = rig.monitor().complaints();
-    let reason = if complaints.is_empty() { fault.to_string() } else { complaints.join("; ") };
-    PreflightError::Rig { reason, fault }
+    match error {
+        PreflightError::Rig { fault, .. } if !complaints.is_empty() => {
+            PreflightError::Rig { reason: complaints.join("; "), fault }
+        }
+        other => other,
+    }
 }
 
 /// The quintic from `from_m` to 0 at the share `u` of its time.
