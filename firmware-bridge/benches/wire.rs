@@ -2,8 +2,12 @@
 //! message to bytes.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use firmware_bridge::canopen::nmt::sync;
+use firmware_bridge::canopen::pdo::Outputs;
+use firmware_bridge::drive::CanBus;
 use firmware_bridge::wire::{Deframer, Message, SampleFrame, WIRE_MAX, encode};
 use std::hint::black_box;
+use std::os::unix::net::UnixDatagram;
 
 const RATE_HZ: u64 = 2048;
 
@@ -50,5 +54,25 @@ fn wire(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, wire);
+/// One command to the bus: both process data frames and SYNC through the kernel, the other end's reading included.
+fn command(c: &mut Criterion) {
+    let (host, device) = UnixDatagram::pair().expect("a socket pair");
+    let bus = CanBus::from_socket(host.into()).expect("a bus");
+    let mut device = CanBus::from_socket(device.into()).expect("a bus");
+    let mut outputs = Outputs::default();
+    c.bench_function("one command to the bus", |b| {
+        b.iter(|| {
+            outputs.target_position += 1;
+            for frame in black_box(&outputs).frames(5) {
+                bus.send(&frame).expect("sent");
+            }
+            bus.send(&sync()).expect("sent");
+            while let Ok(Some(event)) = device.poll() {
+                black_box(event);
+            }
+        });
+    });
+}
+
+criterion_group!(benches, wire, command);
 criterion_main!(benches);
