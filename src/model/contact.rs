@@ -2,6 +2,9 @@
 
 use super::BumperSpec;
 
+/// A tip this close to its rest is at rest, m: far below the rounding of any displacement.
+const RELAXED_M: f64 = 1e-15;
+
 /// Force of one bumper against penetration p: F0 + Kb p (or kh p^n) + kb3 p^3 + (Cb + mu p) p'.
 ///
 /// The tip is massless, so out of contact its own force is zero and it relaxes by
@@ -67,7 +70,7 @@ impl ContactLaw {
 
     /// Deformation of a free tip after a while, m, from `tip` m at its beginning.
     pub fn relaxed_m(&self, tip: f64, after_s: f64) -> f64 {
-        if tip <= 0.0 {
+        if tip <= RELAXED_M {
             return 0.0;
         }
         if !self.is_linear() {
@@ -95,7 +98,7 @@ impl ContactLaw {
             return 0.0;
         }
         let (mut x, mut left) = (tip, after_s);
-        let smallest = 1e-9 * tip;
+        let smallest = (1e-9 * tip).max(RELAXED_M);
         for _ in 0..2000 {
             if left <= 0.0 {
                 return x;

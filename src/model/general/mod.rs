@@ -8,6 +8,7 @@
 
 mod dynamics;
 mod events;
+mod impose;
 mod runge_kutta;
 mod specimen;
 #[cfg(test)]

@@ -12,24 +12,26 @@ const PATIENCE: usize = 200;
 
 /// The general solver of one model with `N` states.
 pub struct General<const N: usize> {
-    system: System,
-    layout: Layout,
-    tolerance: f64,
-    y: [f64; N],
-    mode: Mode,
+    pub(super) system: System,
+    pub(super) layout: Layout,
+    pub(super) tolerance: f64,
+    pub(super) y: [f64; N],
+    pub(super) mode: Mode,
     /// Time since reset, s.
-    time_s: f64,
+    pub(super) time_s: f64,
     /// Step that the error control would take, s.
-    preferred_s: f64,
+    pub(super) preferred_s: f64,
     /// Table acceleration now; `None` when it is not known after an imposed motion.
-    table: Option<f64>,
+    pub(super) table: Option<f64>,
     /// Largest displacement and velocity so far, for the error control.
-    largest: [f64; 2],
-    turns: bool,
+    pub(super) largest: [f64; 2],
+    pub(super) turns: bool,
+    /// Terms have states of their own.
+    pub(super) integrates: bool,
 }
 
 /// Rates, forces and guards at the present instant.
-struct Now<const N: usize> {
+pub(super) struct Now<const N: usize> {
     rates: [f64; N],
     forces: Forces,
     guards: Guards,
@@ -40,6 +42,7 @@ impl<const N: usize> General<N> {
     pub fn new(system: System, options: &Options) -> Self {
         let layout = Layout::of(&system);
         let turns = system.isolator_terms.iter().chain(&system.mass_terms).any(|term| term.turns());
+        let integrates = system.hidden_states() > 0;
         let mode = Mode {
             segment: 0,
             contact: [false; 2],
@@ -61,6 +64,7 @@ impl<const N: usize> General<N> {
             table: Some(0.0),
             largest: [0.0; 2],
             turns,
+            integrates,
         };
         solver.reset();
         solver
@@ -78,7 +82,7 @@ impl<const N: usize> General<N> {
         worst / self.tolerance
     }
 
-    fn now<D: Drive>(&self, offset: f64, drive: D, motion: Motion) -> Now<N> {
+    pub(super) fn now<D: Drive>(&self, offset: f64, drive: D, motion: Motion) -> Now<N> {
         let at = (self.time_s + offset, drive.at(offset));
         let (rates, forces) =
             self.system.rates(at, &self.y, &self.mode, &self.layout, imposed(motion, offset));
@@ -161,11 +165,12 @@ impl<const N: usize> General<N> {
             now = self.now(t, drive, motion);
         }
         self.time_s += duration;
+        self.age_tips();
         now.forces
     }
 
     /// A step within the tolerance; shortens `h` until it is (or cannot get shorter).
-    fn controlled<D: Drive>(
+    pub(super) fn controlled<D: Drive>(
         &self,
         t: f64,
         h: &mut f64,
@@ -217,7 +222,7 @@ impl<const N: usize> General<N> {
     }
 
     /// Tells terms with memory, and the error control, where the motion has come to.
-    fn commit(&mut self) {
+    pub(super) fn commit(&mut self) {
         self.largest[0] = self.largest[0].max(self.y[0].abs());
         self.largest[1] = self.largest[1].max(self.y[1].abs());
         if self.turns {
@@ -225,6 +230,18 @@ impl<const N: usize> General<N> {
                 if self.mode.joint == Joint::Rigid { self.y[0] } else { self.y[self.layout.element] };
             self.system.isolator_terms.iter_mut().for_each(|term| term.commit(element));
             self.system.mass_terms.iter_mut().for_each(|term| term.commit(self.y[0]));
+        }
+    }
+
+    /// States free tips as they are now: a nonlinear one relaxes by small steps, which must not begin at
+    /// the release again each time that it is asked for.
+    pub(super) fn age_tips(&mut self) {
+        if self.system.bumper.is_linear() {
+            return;
+        }
+        for tip in self.mode.tips.iter_mut().filter(|tip| tip.deformation_m > 0.0) {
+            let deformation_m = self.system.bumper.relaxed_m(tip.deformation_m, self.time_s - tip.since_s);
+            *tip = Tip { deformation_m, since_s: self.time_s };
         }
     }
 
@@ -425,6 +442,9 @@ impl<const N: usize> Specimen for General<N> {
         let mean = (d1 - d0) / dt;
         let start = (6.0 * mean - 4.0 * v0 - 2.0 * v1) / dt;
         let line = Line { start, slope: (6.0 * (v0 + v1) - 12.0 * mean) / (dt * dt) };
+        if self.imposes_by_sample() {
+            return self.impose_sampled(d1, v1, line);
+        }
         if self.system.friction.is_some() && self.mode.sliding == Sliding::Stick {
             let moves = if v0 != 0.0 { v0 } else { d1 - d0 };
             self.mode.sliding = Sliding::Slip(if moves < 0.0 { -1 } else { 1 });

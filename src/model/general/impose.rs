@@ -1,0 +1,125 @@
+//! Imposed motion at sample resolution. Identification imposes the measured motion on models some
+//! thousand times over: contacts, knees and the sign of friction are read off the sample itself, the
+//! instant of a release is interpolated, and only terms with states of their own are integrated.
+//! Stands and joints, whose own motion decides on contact, keep to the event search.
+
+use super::super::Response;
+use super::dynamics::{Joint, Line, Motion, Sliding, Tip};
+use super::specimen::General;
+
+const STILL: Line = Line { start: 0.0, slope: 0.0 };
+
+impl<const N: usize> General<N> {
+    /// True where [`General::impose_sampled`] applies.
+    pub(super) fn imposes_by_sample(&self) -> bool {
+        self.system.stand.is_none() && self.mode.joint == Joint::Rigid
+    }
+
+    /// Moves the mass to displacement `d` (m) and velocity `v` (m/s) within one sample interval, along
+    /// the cubic whose acceleration is `line`.
+    pub(super) fn impose_sampled(&mut self, d: f64, v: f64, line: Line) -> Response {
+        let dt = self.system.sample_period_s;
+        let before = self.contact_forces();
+        if self.turns {
+            self.commit_vertex(v, dt, line);
+        }
+        if self.integrates {
+            self.integrate_terms(dt, line);
+        }
+        (self.y[0], self.y[1]) = (d, v);
+        self.time_s += dt;
+        self.table = None;
+        self.mode.segment = self.system.segment(d);
+        if self.system.friction.is_some() {
+            let sign = match self.mode.sliding {
+                _ if v != 0.0 => v.signum() as i8,
+                Sliding::Slip(sign) => sign,
+                _ => 1,
+            };
+            self.mode.sliding = Sliding::Slip(sign);
+        }
+        if self.turns {
+            self.mode.direction = if v < 0.0 { -1 } else { 1 };
+        }
+        self.commit();
+        if self.system.has_bumper {
+            for (side, force) in before.into_iter().enumerate() {
+                self.meet(side, force, dt);
+            }
+            self.age_tips();
+        }
+        let at = (self.time_s, 0.0);
+        let forces =
+            self.system.rates(at, &self.y, &self.mode, &self.layout, Some(line.start + line.slope * dt)).1;
+        self.response(&forces)
+    }
+
+    /// Contact forces and positions of the mass towards both bumpers at the last sample.
+    fn contact_forces(&self) -> [(f64, f64); 2] {
+        [0, 1].map(|side| {
+            let (p, rate) = self.system.approach(side, &self.y, &self.layout);
+            (p, if self.mode.contact[side] { self.system.bumper.force_n(p, rate) } else { 0.0 })
+        })
+    }
+
+    /// Contact, release or push of the free tip of one side after a sample.
+    fn meet(&mut self, side: usize, (p_before, force_before): (f64, f64), dt: f64) {
+        let (p, rate) = self.system.approach(side, &self.y, &self.layout);
+        let force = self.system.bumper.force_n(p, rate);
+        if self.mode.contact[side] {
+            let ended = force < 0.0 || (self.system.bumper.preload_n > 0.0 && p < 0.0);
+            if ended {
+                // Force runs about linearly over a sample.
+                let span = force_before - force;
+                let part = if span > 0.0 { (force_before / span).clamp(0.0, 1.0) } else { 1.0 };
+                let tip = (p_before + part * (p - p_before)).max(0.0);
+                self.mode.contact[side] = false;
+                self.mode.tips[side] = Tip { deformation_m: tip, since_s: self.time_s - (1.0 - part) * dt };
+            }
+            return;
+        }
+        let tip = self.mode.tips[side];
+        let free = self.system.bumper.relaxed_m(tip.deformation_m, self.time_s - tip.since_s);
+        if p < free {
+            return;
+        }
+        if rate > 0.0 && force >= 0.0 {
+            self.mode.contact[side] = true;
+        } else {
+            self.mode.tips[side] = Tip { deformation_m: p.max(0.0), since_s: self.time_s };
+        }
+    }
+
+    /// Tells terms that remember reversals where the motion turned within the coming sample.
+    fn commit_vertex(&mut self, v: f64, dt: f64, line: Line) {
+        let before = self.y[1];
+        if before * v >= 0.0 {
+            return;
+        }
+        let part = before / (before - v);
+        let t = part * dt;
+        let vertex = self.y[0] + before * t + 0.5 * line.start * t * t + line.slope * t * t * t / 6.0;
+        self.system.isolator_terms.iter_mut().for_each(|term| term.commit(vertex));
+        self.system.mass_terms.iter_mut().for_each(|term| term.commit(vertex));
+    }
+
+    /// Integrates the states of the terms along the cubic, no events.
+    fn integrate_terms(&mut self, dt: f64, line: Line) {
+        let motion = Motion::Imposed(line);
+        let mut t = 0.0;
+        let mut now = self.now(t, STILL, motion);
+        while dt - t > 1e-13 * dt {
+            let mut h = self.preferred_s.min(dt - t);
+            let last = h >= dt - t;
+            let (step, excess) = self.controlled(t, &mut h, &now, STILL, motion);
+            self.y = step.end;
+            t += h;
+            if excess > 0.0 || !last {
+                self.preferred_s = (h * (0.9 * excess.max(1e-6).powf(-0.2)).clamp(0.2, 5.0)).min(dt);
+            }
+            if dt - t > 1e-13 * dt {
+                now = self.now(t, STILL, motion);
+            }
+        }
+    }
+}
