@@ -36,6 +36,35 @@ impl Point {
     }
 }
 
+/// Carries u' = v - u/tau over one sample period in closed form, v running linearly.
+#[derive(Clone, Copy, Debug)]
+pub struct Relaxation {
+    decay: f64,
+    /// Weights of v at the beginning and at the end.
+    weights: [f64; 2],
+}
+
+impl Relaxation {
+    /// For a rate 1/tau (1/s) and a sample period (s).
+    pub fn new(rate: f64, period_s: f64) -> Self {
+        let x = rate * period_s;
+        let decay = (-x).exp();
+        // Integrals of exp(-rate (period - t)) times 1 and t / period; series where x is small.
+        let (one, ramp) = if x < 1e-3 {
+            (1.0 - x / 2.0 + x * x / 6.0, 0.5 - x / 6.0 + x * x / 24.0)
+        } else {
+            let one = (1.0 - decay) / x;
+            (one, (1.0 - one) / x)
+        };
+        Self { decay, weights: [period_s * (one - ramp), period_s * ramp] }
+    }
+
+    /// The state one sample period later.
+    pub fn after(&self, state: f64, v0: f64, v1: f64) -> f64 {
+        self.decay * state + self.weights[0] * v0 + self.weights[1] * v1
+    }
+}
+
 /// A force that an effect adds.
 pub trait Term: Send {
     /// How many states it integrates.
@@ -45,6 +74,11 @@ pub trait Term: Send {
 
     /// Its force, N (opposing positive displacement is positive), and the rates of its states.
     fn force(&self, at: &Point, state: &[f64], rate: &mut [f64]) -> f64;
+
+    /// Carries its states over one sample period along an imposed motion, the velocity running
+    /// linearly between two instants: in closed form or by small steps of its own, since an imposed
+    /// motion needs no step control. Called for terms with states.
+    fn follow(&self, _from: &Point, _to: &Point, _state: &mut [f64]) {}
 
     /// Needs reversals of the motion as events.
     fn turns(&self) -> bool {
@@ -81,6 +115,58 @@ pub struct Stand {
     pub mass_kg: f64,
     /// N s/m.
     pub damping_n_s_m: f64,
+    /// One sample period of its motion alone, and with a linear bumper pressed against it.
+    pub sampled: [Oscillation; 2],
+}
+
+impl Stand {
+    /// A stand under a bumper of the given law, for a sample period (s).
+    pub fn new(
+        stiffness_n_m: f64,
+        mass_kg: f64,
+        damping_n_s_m: f64,
+        law: &ContactLaw,
+        period_s: f64,
+    ) -> Self {
+        let sampled = [(0.0, 0.0), (law.linear_n_m, law.damping_n_s_m)].map(|(k, c)| {
+            Oscillation::new((stiffness_n_m + k) / mass_kg, (damping_n_s_m + c) / mass_kg, period_s)
+        });
+        Self { stiffness_n_m, mass_kg, damping_n_s_m, sampled }
+    }
+}
+
+/// One sample period of u'' + c u' + k u = f in closed form, f running linearly.
+#[derive(Clone, Copy, Debug)]
+pub struct Oscillation {
+    /// (u, u') at the end by u, u', f at the beginning, f at the end.
+    rows: [[f64; 4]; 2],
+}
+
+impl Oscillation {
+    /// For k (1/s2), c (1/s) and a sample period (s).
+    pub fn new(k: f64, c: f64, period_s: f64) -> Self {
+        let h = period_s;
+        // States u, u', f and its slope: the exponential of the augmented matrix.
+        #[rustfmt::skip]
+        let e = nalgebra::Matrix4::new(
+            0.0, h, 0.0, 0.0,
+            -k * h, -c * h, h, 0.0,
+            0.0, 0.0, 0.0, h,
+            0.0, 0.0, 0.0, 0.0,
+        )
+        .exp();
+        let rows = [0, 1].map(|i| {
+            let end = e[(i, 3)] / h;
+            [e[(i, 0)], e[(i, 1)], e[(i, 2)] - end, end]
+        });
+        Self { rows }
+    }
+
+    /// u and u' one sample period later, from the forces at both ends (m/s2).
+    pub fn after(&self, u: f64, rate: f64, f0: f64, f1: f64) -> (f64, f64) {
+        let at = |row: &[f64; 4]| row[0] * u + row[1] * rate + row[2] * f0 + row[3] * f1;
+        (at(&self.rows[0]), at(&self.rows[1]))
+    }
 }
 
 /// Dry friction: sliding, breakaway, and the velocity over which one falls to the other.

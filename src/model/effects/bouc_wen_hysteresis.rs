@@ -62,6 +62,19 @@ struct BoucWen {
     integer: bool,
 }
 
+/// Steps that one sample of an imposed motion is cut into at most.
+const MOST_STEPS: f64 = 64.0;
+
+impl BoucWen {
+    /// dz/dd while moving with the sign of `v`.
+    fn slope(&self, z: f64, v: f64) -> f64 {
+        let reach = (z * self.inverse_dy).abs();
+        let power = if self.integer { reach.powi(self.n as i32) } else { reach.powf(self.n) };
+        let shape = if v * z >= 0.0 { self.beta + self.gamma } else { self.gamma - self.beta };
+        1.0 - shape * power
+    }
+}
+
 impl Term for BoucWen {
     fn states(&self) -> usize {
         1
@@ -72,12 +85,20 @@ impl Term for BoucWen {
     }
 
     fn force(&self, at: &Point, state: &[f64], rate: &mut [f64]) -> f64 {
-        let (z, v) = (state[0], at.velocity_m_s);
-        let reach = (z * self.inverse_dy).abs();
-        let power = if self.integer { reach.powi(self.n as i32) } else { reach.powf(self.n) };
-        let shape = if v * z >= 0.0 { self.beta + self.gamma } else { self.gamma - self.beta };
-        rate[0] = v * (1.0 - shape * power);
-        self.kh * z
+        rate[0] = at.velocity_m_s * self.slope(state[0], at.velocity_m_s);
+        self.kh * state[0]
+    }
+
+    fn follow(&self, from: &Point, to: &Point, state: &mut [f64]) {
+        // z depends on the way alone, so that the steps are of d: Heun's, each a fifth of dy.
+        let way = to.displacement_m - from.displacement_m;
+        let steps = (5.0 * way.abs() * self.inverse_dy).ceil().clamp(1.0, MOST_STEPS);
+        let h = way / steps;
+        for _ in 0..steps as usize {
+            let z = state[0];
+            let first = self.slope(z, h);
+            state[0] = z + 0.5 * h * (first + self.slope(z + h * first, h));
+        }
     }
 
     fn tangent_n_m(&self) -> f64 {

@@ -3,7 +3,7 @@
 //! integral over ln w by the trapezoid rule and the two tails in closed form.
 
 use super::{Effect, Parameter, Place};
-use crate::model::system::{Point, Term};
+use crate::model::system::{Point, Relaxation, Term};
 use std::f64::consts::PI;
 
 /// `fractional-damping`.
@@ -53,6 +53,7 @@ struct SpringPot {
     stiffness: f64,
     /// Rates above the highest: they have relaxed already, a dashpot.
     damping: f64,
+    relaxations: [Relaxation; RATES],
 }
 
 impl SpringPot {
@@ -68,7 +69,8 @@ impl SpringPot {
         });
         let stiffness = front * f64::powf(rates[0], alpha) / alpha;
         let damping = front * f64::powf(highest, alpha - 1.0) / (1.0 - alpha);
-        Self { rates, weights, stiffness, damping }
+        let relaxations = rates.map(|rate| Relaxation::new(rate, sample_period_s));
+        Self { rates, weights, stiffness, damping, relaxations }
     }
 }
 
@@ -85,6 +87,12 @@ impl Term for SpringPot {
             force += self.weights[i] * state[i];
         }
         force
+    }
+
+    fn follow(&self, from: &Point, to: &Point, state: &mut [f64]) {
+        for (u, relaxation) in state.iter_mut().zip(&self.relaxations) {
+            *u = relaxation.after(*u, from.velocity_m_s, to.velocity_m_s);
+        }
     }
 
     fn tangent_n_m(&self) -> f64 {

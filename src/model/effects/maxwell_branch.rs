@@ -1,7 +1,7 @@
 //! Spring and dashpot in series beside the main spring: relaxation (Maxwell 1867, Zener 1948).
 
 use super::{Effect, Parameter, Place};
-use crate::model::system::{Point, Term};
+use crate::model::system::{Point, Relaxation, Term};
 
 /// `maxwell-branch`.
 pub static EFFECT: Effect = Effect {
@@ -34,7 +34,11 @@ pub static EFFECT: Effect = Effect {
     },
     install: |values, system| {
         let (km, tau) = (values.get("km_n_m"), values.get("tau_s"));
-        system.isolator_terms.push(Box::new(Maxwell { km, rate: 1.0 / tau }));
+        system.isolator_terms.push(Box::new(Maxwell {
+            km,
+            rate: 1.0 / tau,
+            relaxation: Relaxation::new(1.0 / tau, system.sample_period_s),
+        }));
         Ok(())
     },
 };
@@ -43,6 +47,7 @@ struct Maxwell {
     km: f64,
     /// 1/tau, 1/s.
     rate: f64,
+    relaxation: Relaxation,
 }
 
 impl Term for Maxwell {
@@ -53,6 +58,10 @@ impl Term for Maxwell {
     fn force(&self, at: &Point, state: &[f64], rate: &mut [f64]) -> f64 {
         rate[0] = at.velocity_m_s - self.rate * state[0];
         self.km * state[0]
+    }
+
+    fn follow(&self, from: &Point, to: &Point, state: &mut [f64]) {
+        state[0] = self.relaxation.after(state[0], from.velocity_m_s, to.velocity_m_s);
     }
 
     fn tangent_n_m(&self) -> f64 {

@@ -37,11 +37,8 @@ pub static EFFECT: Effect = Effect {
     },
     install: |values, system| {
         let (k, m) = (values.get("ks_n_m"), values.get("ms_kg"));
-        system.stand = Some(Stand {
-            stiffness_n_m: k,
-            mass_kg: m,
-            damping_n_s_m: 2.0 * values.get("zeta") * (k * m).sqrt(),
-        });
+        let damping = 2.0 * values.get("zeta") * (k * m).sqrt();
+        system.stand = Some(Stand::new(k, m, damping, &system.bumper, system.sample_period_s));
         Ok(())
     },
 };

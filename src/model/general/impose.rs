@@ -1,18 +1,18 @@
 //! Imposed motion at sample resolution. Identification imposes the measured motion on models some
 //! thousand times over: contacts, knees and the sign of friction are read off the sample itself, the
-//! instant of a release is interpolated, and only terms with states of their own are integrated.
-//! Stands and joints, whose own motion decides on contact, keep to the event search.
+//! instant of a release is interpolated, and terms with states of their own carry them by [`super::super::system::Term::follow`].
+//! A joint, whose
+//! own motion decides on contact, keeps to the event search, and so does a stand under a nonlinear bumper.
 
 use super::super::Response;
-use super::dynamics::{Joint, Line, Motion, Sliding, Tip};
+use super::super::system::{Point, Stand};
+use super::dynamics::{Joint, Line, Sliding, Tip};
 use super::specimen::General;
-
-const STILL: Line = Line { start: 0.0, slope: 0.0 };
 
 impl<const N: usize> General<N> {
     /// True where [`General::impose_sampled`] applies.
     pub(super) fn imposes_by_sample(&self) -> bool {
-        self.system.stand.is_none() && self.mode.joint == Joint::Rigid
+        self.mode.joint == Joint::Rigid && (self.system.stand.is_none() || self.system.bumper.is_linear())
     }
 
     /// Moves the mass to displacement `d` (m) and velocity `v` (m/s) within one sample interval, along
@@ -23,8 +23,11 @@ impl<const N: usize> General<N> {
         if self.turns {
             self.commit_vertex(v, dt, line);
         }
+        if let Some(stand) = self.system.stand {
+            self.follow_stand(&stand, d, v);
+        }
         if self.integrates {
-            self.integrate_terms(dt, line);
+            self.follow_terms(d, v, dt);
         }
         (self.y[0], self.y[1]) = (d, v);
         self.time_s += dt;
@@ -103,23 +106,40 @@ impl<const N: usize> General<N> {
         self.system.mass_terms.iter_mut().for_each(|term| term.commit(vertex));
     }
 
-    /// Integrates the states of the terms along the cubic, no events.
-    fn integrate_terms(&mut self, dt: f64, line: Line) {
-        let motion = Motion::Imposed(line);
-        let mut t = 0.0;
-        let mut now = self.now(t, STILL, motion);
-        while dt - t > 1e-13 * dt {
-            let mut h = self.preferred_s.min(dt - t);
-            let last = h >= dt - t;
-            let (step, excess) = self.controlled(t, &mut h, &now, STILL, motion);
-            self.y = step.end;
-            t += h;
-            if excess > 0.0 || !last {
-                self.preferred_s = (h * (0.9 * excess.max(1e-6).powf(-0.2)).clamp(0.2, 5.0)).min(dt);
+    /// Carries both stands along, each free or pressed by its bumper as it was at the last sample.
+    fn follow_stand(&mut self, stand: &Stand, d: f64, v: f64) {
+        let (was, law) = ((self.y[0], self.y[1]), self.system.bumper);
+        for side in 0..2 {
+            let (sign, gap) =
+                if side == 0 { (1.0, self.system.gap_right_m) } else { (-1.0, self.system.gap_left_m) };
+            let push = |d: f64, v: f64| law.force_n(sign * d - gap, sign * v) / stand.mass_kg;
+            let contact = self.mode.contact[side];
+            let (f0, f1) = if contact { (push(was.0, was.1), push(d, v)) } else { (0.0, 0.0) };
+            let i = self.layout.stand + 2 * side;
+            let (u, rate) =
+                stand.sampled[usize::from(contact)].after(sign * self.y[i], sign * self.y[i + 1], f0, f1);
+            (self.y[i], self.y[i + 1]) = (sign * u, sign * rate);
+        }
+    }
+
+    /// Carries the states of the terms to displacement `d` and velocity `v`.
+    fn follow_terms(&mut self, d: f64, v: f64, dt: f64) {
+        let point = |time_s, displacement_m, velocity_m_s| Point {
+            time_s,
+            displacement_m,
+            velocity_m_s,
+            ..Point::default()
+        };
+        let from = point(self.time_s, self.y[0], self.y[1]);
+        let to = point(self.time_s + dt, d, v);
+        let mut at = self.layout.terms;
+        // In the order in which the rates go through them.
+        for term in self.system.mass_terms.iter().chain(&self.system.isolator_terms) {
+            let end = at + term.states();
+            if end > at {
+                term.follow(&from, &to, &mut self.y[at..end]);
             }
-            if dt - t > 1e-13 * dt {
-                now = self.now(t, STILL, motion);
-            }
+            at = end;
         }
     }
 }

@@ -31,7 +31,7 @@ pub struct General<const N: usize> {
 }
 
 /// Rates, forces and guards at the present instant.
-pub(super) struct Now<const N: usize> {
+struct Now<const N: usize> {
     rates: [f64; N],
     forces: Forces,
     guards: Guards,
@@ -82,7 +82,7 @@ impl<const N: usize> General<N> {
         worst / self.tolerance
     }
 
-    pub(super) fn now<D: Drive>(&self, offset: f64, drive: D, motion: Motion) -> Now<N> {
+    fn now<D: Drive>(&self, offset: f64, drive: D, motion: Motion) -> Now<N> {
         let at = (self.time_s + offset, drive.at(offset));
         let (rates, forces) =
             self.system.rates(at, &self.y, &self.mode, &self.layout, imposed(motion, offset));
@@ -170,7 +170,7 @@ impl<const N: usize> General<N> {
     }
 
     /// A step within the tolerance; shortens `h` until it is (or cannot get shorter).
-    pub(super) fn controlled<D: Drive>(
+    fn controlled<D: Drive>(
         &self,
         t: f64,
         h: &mut f64,

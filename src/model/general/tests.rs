@@ -43,7 +43,18 @@ fn contact_pushes_only_and_both_sides_are_reached() {
 fn imposing_the_simulated_motion_returns_the_simulated_force() {
     let w = TAU * 1.0;
     let input: Vec<f64> = (1..=20480).map(|i| 0.5 * (w * f64::from(i) * DT).sin()).collect();
-    for extra in [None, Some(effect("maxwell-branch", &[("km_n_m", 3000.0), ("tau_s", 0.1)]))] {
+    // Permitted error, m/s2: what acts within a sample is not resolved.
+    let cases: [(Option<(&str, &[(&str, f64)])>, f64); 7] = [
+        (None, 1e-6),
+        (Some(("maxwell-branch", &[("km_n_m", 3000.0), ("tau_s", 0.1)])), 1e-6),
+        (Some(("fractional-damping", &[("ca", 500.0), ("alpha", 0.4)])), 1e-4),
+        (Some(("bouc-wen-hysteresis", &[("kh_n_m", 5000.0), ("dy_m", 0.003)])), 2e-4),
+        (Some(("stand-compliance", &[("ks_n_m", 2e5), ("ms_kg", 10.0)])), 5e-3),
+        (Some(("hertz-contact", &[("kh", 3e5), ("n", 1.5)])), 1e-6),
+        (Some(("coulomb-friction", &[("fc_n", 40.0)])), 1e-6),
+    ];
+    for (extra, permitted) in cases {
+        let extra = extra.map(|(name, parameters)| effect(name, parameters));
         let mut spec = b1_g2();
         spec.effects.extend(extra);
         let history = simulate_sampled(&spec, DT, &input).expect("runs");
@@ -53,7 +64,8 @@ fn imposing_the_simulated_motion_returns_the_simulated_force() {
                 specimen.impose(history.relative_displacement_m[i], history.relative_velocity_m_s[i]);
             let expected = history.mass_acceleration_m_s2[i];
             let corner = response.regime != history.regime[i];
-            assert!(corner || (response.mass_acceleration_m_s2 - expected).abs() < 1e-6, "{i}");
+            let off = (response.mass_acceleration_m_s2 - expected).abs();
+            assert!(corner || off < permitted, "{:?}: sample {i}: {off} m/s2", spec.effects);
         }
     }
 }
