@@ -1,2 +1,3 @@
 //! Helpers of the tests that run the product against the simulated table, emulated devices,
 //! injected faults and hidden effects.
+pub mod hidden;

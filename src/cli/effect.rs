@@ -115,7 +115,7 @@ fn parse_parameter(text: &str) -> Result<(String, f64), String> {
     Ok((name.trim().to_owned(), value))
 }
 
-fn read_model(name: &str) -> Result<ModelSpec, CliError> {
+pub(super) fn read_model(name: &str) -> Result<ModelSpec, CliError> {
     find("models", name)
         .and_then(|source| source.parse())
         .map_err(|error: ConfigError| CliError::Usage(error.into()))

@@ -22,11 +22,13 @@ pub mod campaign;
 pub mod client;
 pub mod compare;
 pub mod completions;
+pub mod diagnose;
 pub mod doctor;
 pub mod effect;
 pub mod emulate;
 pub mod export;
 pub mod hold;
+pub mod identify;
 pub mod import;
 pub mod reading;
 pub mod recover;
@@ -94,6 +96,10 @@ enum Command {
     Simulate(simulate::Args),
     /// List, show, add or remove effects of a model.
     Effect(effect::Args),
+    /// Re-fit the parameters of a model to a record.
+    Identify(identify::Args),
+    /// Find out which physical effect a model lacks, from a record.
+    Diagnose(diagnose::Args),
     /// Play a recorded run through the whole chain again.
     Replay(replay::Args),
 }
@@ -159,6 +165,8 @@ pub fn main() -> ExitCode {
         Command::Emulate(args) => emulate::execute(args),
         Command::Bench(args) => bench::execute(args),
         Command::Replay(args) => replay::execute(args),
+        Command::Identify(args) => identify::execute(args),
+        Command::Diagnose(args) => diagnose::execute(args),
         Command::Simulate(args) => simulate::execute(args),
         Command::Effect(args) => effect::execute(args),
     };

@@ -1,1 +1,16 @@
-//! Which physical effect is missing from the model: instruments first, then parameters, then effects.
+//! Which physical effect is missing from the model: instruments first, then parameters, then
+//! effects.
+
+pub mod candidates;
+pub mod engine;
+pub mod instruments;
+pub mod missing_force;
+pub mod next_test;
+pub mod report;
+pub mod search;
+pub mod trial;
+pub mod verdict;
+
+pub use engine::{Options, diagnose};
+pub use report::Diagnosis;
+pub use verdict::Verdict;

@@ -2,4 +2,8 @@
 
 pub mod kinematics;
 pub mod least_squares;
+pub mod motion;
+pub mod numbers;
+pub mod problem;
+pub mod refit;
 pub mod spectral;

@@ -43,8 +43,9 @@ fn contact_pushes_only_and_both_sides_are_reached() {
 fn imposing_the_simulated_motion_returns_the_simulated_force() {
     let w = TAU * 1.0;
     let input: Vec<f64> = (1..=20480).map(|i| 0.5 * (w * f64::from(i) * DT).sin()).collect();
+    type Case<'a> = (Option<(&'a str, &'a [(&'a str, f64)])>, f64);
     // Permitted error, m/s2: what acts within a sample is not resolved.
-    let cases: [(Option<(&str, &[(&str, f64)])>, f64); 7] = [
+    let cases: [Case<'_>; 7] = [
         (None, 1e-6),
         (Some(("maxwell-branch", &[("km_n_m", 3000.0), ("tau_s", 0.1)])), 1e-6),
         (Some(("fractional-damping", &[("ca", 500.0), ("alpha", 0.4)])), 1e-4),

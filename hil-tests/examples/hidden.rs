@@ -1,0 +1,114 @@
+//! Study of the diagnosis on records with a hidden effect: makes cases from seeds, diagnoses each,
+//! prints one line a case (tab separated) and a summary. Never quote seeds that were developed on.
+//!
+//! `cargo run --release -p hil-tests --example hidden -- blind --seeds 1000..1200 --size 0.05 --noise 1`
+
+use hil_tests::hidden::{self, Recipe};
+use shaketable::diagnose::{Options, Verdict, diagnose};
+use shaketable::model::effects;
+use std::collections::BTreeMap;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut words = std::env::args().skip(1);
+    let study = words.next().unwrap_or_else(|| "blind".to_owned());
+    let (mut seeds, mut size, mut noise, mut only) = (0..20u64, 0.05, 1.0, None);
+    while let Some(word) = words.next() {
+        let value = words.next().ok_or("a value is missing")?;
+        match word.as_str() {
+            "--seeds" => {
+                let (from, to) = value.split_once("..").ok_or("--seeds FROM..TO")?;
+                seeds = from.parse()?..to.parse()?;
+            }
+            "--size" => size = value.parse()?,
+            "--noise" => noise = value.parse()?,
+            "--only" => only = Some(value),
+            other => return Err(format!("unknown argument {other}").into()),
+        }
+    }
+    let all = hidden::studied();
+    let mut tally: BTreeMap<&str, usize> = BTreeMap::new();
+    let mut cases = 0;
+    for seed in seeds {
+        let effects: Vec<&'static str> = match (study.as_str(), &only) {
+            ("healthy", _) => vec![],
+            ("pairs", _) => hidden::pair(seed),
+            (_, Some(name)) => vec![effects::find(name)?.name],
+            _ => vec![all[seed as usize % all.len()]],
+        };
+        let recipe = Recipe { seed, effects: effects.clone(), size, noise };
+        let Some(case) = hidden::make(&recipe) else {
+            println!("{seed}\t{}\tnot reached", effects.join("+"));
+            continue;
+        };
+        cases += 1;
+        let found = match diagnose(&case.record, &case.nominal, &Options::default()) {
+            Ok(found) => found,
+            Err(error) => {
+                println!("{seed}\t{}\terror: {error}", effects.join("+"));
+                *tally.entry("error").or_default() += 1;
+                continue;
+            }
+        };
+        let named: Vec<String> =
+            found.effects.iter().map(|e| format!("{} {:.2}", e.name, e.probability)).collect();
+        let first = found.effects.first().map(|e| e.name.as_str());
+        let right = match found.verdict {
+            Verdict::Adequate => effects.is_empty(),
+            Verdict::OutsideCatalogue => false,
+            _ => {
+                !effects.is_empty()
+                    && effects
+                        .iter()
+                        .all(|name| found.effects.iter().take(effects.len()).any(|e| e.name == *name))
+            }
+        };
+        let second = right
+            || first.is_some()
+                && effects.iter().all(|name| {
+                    found.effects.iter().any(|e| e.name == *name)
+                        || found.ambiguous_with.iter().any(|a| a == name)
+                });
+        *tally
+            .entry(if right {
+                "right"
+            } else if second {
+                "among the first two"
+            } else {
+                "wrong"
+            })
+            .or_default() += 1;
+        *tally.entry(found.verdict.name()).or_default() += 1;
+        if !right {
+            for refused in found.refused.iter().take(6) {
+                println!("\t\t{}: {}", refused.name, refused.reason);
+            }
+        }
+        println!(
+            "{seed}\t{}\t{}\t{}\t[{}]\t~[{}]\tbefore {:.4} refit {:.4} after {:.4} floor {:.4} left {:.3}\t{:.1} s\t{}",
+            if right {
+                "ok"
+            } else if second {
+                "2nd"
+            } else {
+                "WRONG"
+            },
+            effects.join("+"),
+            found.verdict.name(),
+            named.join(", "),
+            found.ambiguous_with.join(", "),
+            found.error_before,
+            found.error_reidentified,
+            found.error_after,
+            found.noise_floor,
+            found.share_left,
+            found.wall_s,
+            case.nominal.bumper.as_ref().map_or("none".into(), |b| format!(
+                "{:.0}/{:.0} mm",
+                b.stiffness_n_m / 1e3,
+                b.total_gap_m * 1e3
+            )),
+        );
+    }
+    println!("{cases} cases: {tally:?}");
+    Ok(())
+}

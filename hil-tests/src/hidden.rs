@@ -1,0 +1,285 @@
+//! Records with a hidden effect: a specimen that carries what the nominal model lacks, nominal
+//! numbers that are off, and instruments that are not perfect, all drawn from one seed.
+
+use rand::{Rng, SeedableRng, prelude::Distribution};
+use rand_pcg::Pcg64;
+use shaketable::model::effects::{self, Sign};
+use shaketable::model::{self, BumperSpec, EffectSpec, IsolatorSpec, ModelSpec, Scales};
+use shaketable::record::{Kind, Record};
+use shaketable::units::{SAMPLE_RATE_HZ, STANDARD_GRAVITY_M_S2};
+use std::f64::consts::TAU;
+
+/// What a hidden case is made of.
+#[derive(Clone, Debug)]
+pub struct Recipe {
+    /// Everything random follows from it.
+    pub seed: u64,
+    /// Effects that the specimen carries.
+    pub effects: Vec<&'static str>,
+    /// RMS change of A that each effect makes, relative.
+    pub size: f64,
+    /// Multiple of 0.01 m/s2 and 30 um of sensor noise.
+    pub noise: f64,
+}
+
+/// A record, the model that someone would have of it, and the truth.
+pub struct Hidden {
+    /// The measured record.
+    pub record: Record,
+    /// The model on board.
+    pub nominal: ModelSpec,
+    /// The specimen.
+    pub truth: ModelSpec,
+}
+
+/// Effects that a study of single base records goes through: all of the catalogue but those that
+/// need a second kind of evidence (the table's own command, a weighed mass, a user's formula).
+pub fn studied() -> Vec<&'static str> {
+    effects::CATALOGUE
+        .iter()
+        .map(|e| e.name)
+        .filter(|name| !matches!(*name, "mass-error" | "table-interaction" | "expression"))
+        .collect()
+}
+
+/// Two different physical effects from a seed.
+pub fn pair(seed: u64) -> Vec<&'static str> {
+    let physical: Vec<&'static str> =
+        studied().into_iter().filter(|n| effects::find(n).is_ok_and(|e| !e.is_instrument())).collect();
+    let mut random = Pcg64::seed_from_u64(seed ^ 0x5eed);
+    let first = random.random_range(0..physical.len());
+    let second = (first + random.random_range(1..physical.len())) % physical.len();
+    vec![physical[first], physical[second]]
+}
+
+/// Makes a case. `None` when the effect cannot reach the size on that specimen.
+pub fn make(recipe: &Recipe) -> Option<Hidden> {
+    let mut random = Pcg64::seed_from_u64(recipe.seed);
+    let needs_bumper = recipe.effects.iter().any(|name| effects::find(name).is_ok_and(|e| e.needs_bumper()));
+    let nominal = nominal(&mut random, needs_bumper);
+    let acceleration = [0.03, 0.04, 0.05][random.random_range(0..3)] * STANDARD_GRAVITY_M_S2;
+    let mut truth = off_nominal(&nominal, &mut random);
+    let input = sweep(acceleration);
+    for name in &recipe.effects {
+        truth = with_effect(&truth, name, recipe.size, &input, &mut random)?;
+    }
+    let record = measure(&truth, &input, recipe.noise, &mut random)?;
+    Some(Hidden { record, nominal, truth })
+}
+
+/// The paper's specimen with one of the bumpers and gaps.
+fn nominal(random: &mut Pcg64, needs_bumper: bool) -> ModelSpec {
+    let bumpers = [(33e3, 300.0), (175e3, 500.0), (650e3, 1500.0), (0.0, 0.0)];
+    let (stiffness, damping) = bumpers[random.random_range(0..if needs_bumper { 3 } else { 4 })];
+    let gap = [0.015, 0.020, 0.025, 0.030][random.random_range(0..4)];
+    ModelSpec {
+        name: "nominal".into(),
+        mass_kg: 500.0,
+        isolator: IsolatorSpec {
+            stiffness_n_m: vec![20e3, 18e3, 2e3],
+            breakpoints_m: vec![0.008, 0.040],
+            damping_n_s_m: 1100.0,
+        },
+        bumper: (stiffness > 0.0).then_some(BumperSpec {
+            stiffness_n_m: stiffness,
+            damping_n_s_m: damping,
+            total_gap_m: gap,
+        }),
+        effects: vec![],
+        uncertainty: None,
+    }
+}
+
+/// Slopes and dampings 5-10 % off, knees up to 6 %, gap up to 2 %.
+fn off_nominal(nominal: &ModelSpec, random: &mut Pcg64) -> ModelSpec {
+    let mut truth = nominal.clone();
+    let mut off = |low: f64, high: f64| {
+        let size = random.random_range(low..high);
+        1.0 + if random.random_bool(0.5) { size } else { -size }
+    };
+    for k in &mut truth.isolator.stiffness_n_m {
+        *k *= off(0.05, 0.10);
+    }
+    for knee in &mut truth.isolator.breakpoints_m {
+        *knee *= off(0.0, 0.06);
+    }
+    truth.isolator.damping_n_s_m *= off(0.05, 0.10);
+    if let Some(bumper) = &mut truth.bumper {
+        bumper.stiffness_n_m *= off(0.05, 0.10);
+        bumper.damping_n_s_m *= off(0.05, 0.10);
+        bumper.total_gap_m *= off(0.0, 0.02);
+    }
+    truth
+}
+
+/// Input of a coarse sweep up and down: table acceleration and step of each sample.
+struct Input {
+    acceleration: Vec<f64>,
+    displacement: Vec<f64>,
+    step: Vec<i32>,
+}
+
+fn sweep(amplitude: f64) -> Input {
+    let up: Vec<f64> = (0..10).map(|i| 0.6 + 0.35 * f64::from(i)).collect();
+    let frequencies: Vec<f64> = up.iter().chain(up.iter().rev()).copied().collect();
+    let mut input = Input { acceleration: vec![], displacement: vec![], step: vec![] };
+    for (k, f) in frequencies.iter().enumerate() {
+        let samples = (10.0 * SAMPLE_RATE_HZ / f).round() as usize;
+        let w = TAU * f;
+        for n in 0..samples {
+            let s = (w * (n as f64 + 1.0) / SAMPLE_RATE_HZ).sin();
+            input.acceleration.push(amplitude * s);
+            input.displacement.push(-amplitude / (w * w) * s);
+            input.step.push(k as i32);
+        }
+    }
+    input
+}
+
+/// Adds an effect with shape parameters drawn at random and the amplitude that changes A by
+/// `size`.
+fn with_effect(
+    truth: &ModelSpec,
+    name: &str,
+    size: f64,
+    input: &Input,
+    random: &mut Pcg64,
+) -> Option<ModelSpec> {
+    let effect = effects::find(name).ok()?;
+    let dt = 1.0 / SAMPLE_RATE_HZ;
+    let reference = response(truth, &input.acceleration)?;
+    let mut scales = Scales::of_spec(truth, dt);
+    let peak = |x: &[f64]| 1.5 * rms(x);
+    scales.displacement_m = peak(&reference.0);
+    scales.acceleration_m_s2 = peak(&reference.1);
+    scales.force_n = truth.mass_kg * scales.acceleration_m_s2;
+    scales.frequency_hz = 1.5;
+    scales.velocity_m_s = scales.displacement_m * TAU * 1.5;
+    scales.duration_s = input.acceleration.len() as f64 * dt;
+    if let Some(bumper) = &truth.bumper {
+        let largest = reference.0.iter().fold(0.0_f64, |m, d| m.max(d.abs()));
+        scales.penetration_m = Some((largest - 0.5 * bumper.total_gap_m).max(0.02 * largest));
+    }
+    let parameters: Vec<_> =
+        (effect.parameters)(&scales).into_iter().filter(|p| p.default.is_none()).collect();
+    let mut spec = EffectSpec { name: name.to_owned(), expression: None, parameters: Default::default() };
+    for p in &parameters {
+        let q = random.random_range(0.35..0.65);
+        let (low, high) = p.prior;
+        let value = if p.log_scale && low > 0.0 {
+            low * (high / low).powf(q)
+        } else if p.sign == Sign::Either {
+            high * (0.1 + 0.4 * q) * if random.random_bool(0.5) { 1.0 } else { -1.0 }
+        } else {
+            low + (high - low) * q
+        };
+        spec.parameters.insert(p.name.to_owned(), value);
+    }
+    // A gain is off by the size itself.
+    if effect.is_instrument()
+        && let Some(gain) = spec.parameters.get_mut("gain")
+    {
+        *gain = if random.random_bool(0.5) { 1.0 + size } else { 1.0 - size };
+        let mut with = truth.clone();
+        with.effects.push(spec);
+        return Some(with);
+    }
+    // Bisect the leading parameter on a logarithmic scale.
+    let leading = parameters.first()?;
+    let start = spec.parameters[leading.name];
+    let change = |factor: f64| -> Option<f64> {
+        let mut spec = spec.clone();
+        spec.parameters.insert(leading.name.to_owned(), start * factor);
+        let mut with = truth.clone();
+        with.effects.push(spec);
+        let changed = response(&with, &input.acceleration)?;
+        let difference: Vec<f64> = reference.1.iter().zip(&changed.1).map(|(a, b)| a - b).collect();
+        let moved: Vec<f64> = reference.0.iter().zip(&changed.0).map(|(a, b)| a - b).collect();
+        Some((rms(&difference) / rms(&reference.1)).max(rms(&moved) / rms(&reference.0)))
+    };
+    let (mut low, mut high) = (1e-4_f64, 30.0_f64);
+    for _ in 0..14 {
+        let middle = (low * high).sqrt();
+        match change(middle) {
+            Some(c) if c < size => low = middle,
+            _ => high = middle,
+        }
+    }
+    let reached = change((low * high).sqrt())?;
+    if !(0.5..2.0).contains(&(reached / size)) {
+        return None;
+    }
+    spec.parameters.insert(leading.name.to_owned(), start * (low * high).sqrt());
+    let mut with = truth.clone();
+    with.effects.push(spec);
+    Some(with)
+}
+
+fn rms(x: &[f64]) -> f64 {
+    (x.iter().map(|v| v * v).sum::<f64>() / x.len().max(1) as f64).sqrt()
+}
+
+/// D and mean A as the instruments would show them without noise.
+fn response(spec: &ModelSpec, input: &[f64]) -> Option<(Vec<f64>, Vec<f64>)> {
+    let channels = observed(spec, input)?;
+    Some((channels.iter().map(|o| o.0).collect(), channels.iter().map(|o| 0.5 * (o.1 + o.2)).collect()))
+}
+
+fn observed(spec: &ModelSpec, input: &[f64]) -> Option<Vec<(f64, f64, f64)>> {
+    let dt = 1.0 / SAMPLE_RATE_HZ;
+    let mut specimen = model::build(spec, dt).ok()?;
+    let mut observer = model::Observer::new(spec, dt).ok()?;
+    specimen.reset();
+    let mut out = Vec::with_capacity(input.len());
+    for a in input {
+        let o = observer.observe(&specimen.step(*a));
+        if !o.relative_displacement_m.is_finite() {
+            return None;
+        }
+        out.push((o.relative_displacement_m, o.mass_acceleration_1_m_s2, o.mass_acceleration_2_m_s2));
+    }
+    Some(out)
+}
+
+/// Adds sensor zeros, a leak of table acceleration, slow noise, white noise.
+fn measure(truth: &ModelSpec, input: &Input, noise: f64, random: &mut Pcg64) -> Option<Record> {
+    let channels = observed(truth, &input.acceleration)?;
+    let normal = rand_distr::StandardNormal;
+    let zeros: [f64; 3] = std::array::from_fn(|_| random.random_range(-0.02..0.02));
+    let laser_zero = random.random_range(-2e-5..2e-5);
+    let leak = [random.random_range(-0.002..0.002), random.random_range(-0.002..0.002)];
+    let n = input.acceleration.len();
+    let (sa, sd) = (0.01 * noise, 30e-6 * noise);
+    // Slow noise: first-order, 5 s, a fifth of the white one for the laser.
+    let (decay, mut slow) = ((-1.0 / (5.0 * SAMPLE_RATE_HZ)).exp(), 0.0);
+    let mut white = |s: f64| -> f64 {
+        let z: f64 = normal.sample(random);
+        s * z
+    };
+    let mut record = Record {
+        source: "hidden".into(),
+        kind: Kind::Base,
+        sample_rate_hz: SAMPLE_RATE_HZ,
+        time_s: (0..n).map(|i| i as f64 / SAMPLE_RATE_HZ).collect(),
+        table_displacement_m: vec![],
+        table_acceleration_m_s2: vec![],
+        mass_acceleration_1_m_s2: vec![],
+        mass_acceleration_2_m_s2: vec![],
+        relative_displacement_m: vec![],
+        force_n: vec![],
+        displacement_m: vec![],
+        acceleration_m_s2: vec![],
+        step: input.step.clone(),
+        notes: vec![],
+    };
+    for (i, (d, a1, a2)) in channels.iter().enumerate() {
+        let table = input.acceleration[i];
+        slow = decay * slow + white(0.2 * sd * (1.0 - decay * decay).sqrt());
+        record.table_displacement_m.push(input.displacement[i] + white(1e-5 * noise));
+        record.table_acceleration_m_s2.push(table + zeros[0] + white(sa));
+        record.mass_acceleration_1_m_s2.push(a1 + leak[0] * table + zeros[1] + white(sa));
+        record.mass_acceleration_2_m_s2.push(a2 + leak[1] * table + zeros[2] + white(sa));
+        record.relative_displacement_m.push(d + laser_zero + slow + white(sd));
+    }
+    Some(record)
+}

@@ -1,0 +1,40 @@
+//! The diagnosis on records with a hidden effect; a small part of the study that the book reports.
+
+use hil_tests::hidden::{self, Recipe};
+use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose};
+
+fn case(seed: u64, effects: &[&'static str], size: f64) -> Diagnosis {
+    let recipe = Recipe { seed, effects: effects.to_vec(), size, noise: 1.0 };
+    let case = hidden::make(&recipe).expect("the effect reaches its size");
+    diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record")
+}
+
+#[test]
+fn a_missing_effect_is_named_and_the_held_out_error_falls() {
+    for (seed, name) in [(5_000_004, "bouc-wen-hysteresis"), (5_000_002, "quadratic-damping")] {
+        let found = case(seed, &[name], 0.12);
+        assert_eq!(found.verdict, Verdict::Missing, "{name}: {:?} {:?}", found.effects, found.refused);
+        assert_eq!(found.effects[0].name, name);
+        // Re-fitting hides part of it; of what it leaves above the noise, the effect takes most.
+        let above = |error: f64| error.powi(2) - found.noise_floor.powi(2);
+        assert!(above(found.error_after) < 0.5 * above(found.error_reidentified), "{name}");
+        assert!(found.error_after < 1.25 * found.noise_floor, "{name}");
+        assert!(!found.effects[0].parameters.is_empty() && !found.refused.is_empty());
+    }
+}
+
+#[test]
+fn parameters_that_are_merely_off_are_no_missing_effect() {
+    for seed in [5_000_101, 5_000_102] {
+        let found = case(seed, &[], 0.0);
+        assert_eq!(found.verdict, Verdict::Adequate, "seed {seed}: {:?}", found.effects);
+        assert!(found.effects.is_empty());
+        assert!(found.error_reidentified < found.error_before);
+    }
+}
+
+#[test]
+fn a_late_laser_is_an_instrument_and_no_physics() {
+    let found = case(5_000_018, &["laser-delay"], 0.05);
+    assert_eq!(found.effects.first().map(|e| e.name.as_str()), Some("laser-delay"), "{:?}", found.effects);
+}

@@ -1,0 +1,111 @@
+//! Which effects are tried, and from where their parameters start.
+
+use crate::identify::motion::Motion;
+use crate::model::effects::{self, Effect, Place, Sign};
+use crate::model::{EffectSpec, ModelSpec, Scales};
+use crate::record::Kind;
+
+/// Effects that a single record of this kind may show through the motion of the specimen, in the
+/// order of the catalogue, those that the model has already left out.
+///
+/// Instruments are judged by kinematics, the table by its own acceleration; a wrong mass looks
+/// like all stiffnesses and dampings scaled; an expression is the user's own.
+pub fn physical(spec: &ModelSpec, kind: Kind) -> Vec<&'static Effect> {
+    effects::CATALOGUE
+        .iter()
+        .copied()
+        .filter(|effect| {
+            let judged_elsewhere = effect.is_instrument()
+                || effect.place == Place::User
+                || matches!(effect.name, "mass-error" | "table-interaction");
+            let absent = effect.needs_bumper() && spec.bumper.is_none()
+                || kind == Kind::Component && effect.name == "stand-compliance";
+            let given = spec.effects.iter().any(|given| given.name == effect.name);
+            !(judged_elsewhere || absent || given)
+        })
+        .collect()
+}
+
+/// Simpler effects that are contained in an effect as a limit: parsimony prefers them.
+pub fn contained_in(name: &str) -> &'static [&'static str] {
+    match name {
+        "stribeck-friction" => &["coulomb-friction"],
+        "iwan-hysteresis" => &["bouc-wen-hysteresis", "coulomb-friction"],
+        "bouc-wen-hysteresis" => &["coulomb-friction"],
+        "fractional-damping" => &["quadratic-damping"],
+        "hertz-contact" => &["bumper-stiffening"],
+        "stand-compliance" => &["bumper-preload"],
+        _ => &[],
+    }
+}
+
+/// Magnitudes of the motion, for the priors of the effects.
+pub fn scales(spec: &ModelSpec, motion: &Motion) -> Scales {
+    let mut scales = Scales::of_spec(spec, motion.dt_s());
+    let peak = |x: &[f64]| 1.5 * motion.rms(x).max(1e-300);
+    scales.mass_kg = if motion.kind == Kind::Component { 1.0 } else { spec.mass_kg };
+    scales.displacement_m = peak(&motion.displacement_m);
+    scales.velocity_m_s = peak(&motion.velocity_m_s);
+    scales.acceleration_m_s2 = peak(&motion.restoring_m_s2);
+    scales.force_n = scales.mass_kg * scales.acceleration_m_s2;
+    let mut frequencies: Vec<f64> = motion.windows.iter().map(|w| w.frequency_hz).collect();
+    frequencies.sort_by(f64::total_cmp);
+    scales.frequency_hz = frequencies.get(frequencies.len() / 2).copied().unwrap_or(1.0);
+    scales.duration_s = motion.displacement_m.len() as f64 * motion.dt_s();
+    scales.sample_period_s = motion.dt_s();
+    if let Some(bumper) = &spec.bumper {
+        let largest = motion
+            .windows
+            .iter()
+            .flat_map(|w| &motion.displacement_m[w.range.clone()])
+            .fold(0.0_f64, |m, d| m.max(d.abs()));
+        scales.penetration_m = Some((largest - 0.5 * bumper.total_gap_m).max(0.02 * largest));
+        scales.total_gap_m = Some(bumper.total_gap_m);
+    }
+    scales
+}
+
+/// Starting values: shape parameters spread over their prior ranges, the leading (amplitude)
+/// parameter small, of either sign where it may be.
+pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
+    let parameters: Vec<_> =
+        (effect.parameters)(scales).into_iter().filter(|p| p.default.is_none()).collect();
+    let quantile = |(low, high): (f64, f64), q: f64, logarithmic: bool| {
+        if logarithmic && low > 0.0 { low * (high / low).powf(q) } else { low + (high - low) * q }
+    };
+    let quantiles: &[f64] = if parameters.len() > 1 { &[0.5, 0.25, 0.75, 0.1] } else { &[0.5] };
+    let mut out = vec![effect.starting_spec(scales)];
+    for q in quantiles {
+        let mut spec = effect.starting_spec(scales);
+        for (i, parameter) in parameters.iter().enumerate() {
+            let value = match (i, parameter.sign) {
+                (0, Sign::Either) => 0.05 * parameter.prior.1,
+                (0, _) => quantile(parameter.prior, 0.3, parameter.log_scale),
+                _ => quantile(parameter.prior, *q, parameter.log_scale),
+            };
+            spec.parameters.insert(parameter.name.to_owned(), value);
+        }
+        order_friction(&mut spec);
+        out.push(spec);
+    }
+    if let ("hertz-contact", Some(p)) = (effect.name, scales.penetration_m) {
+        // Exponents near the linear bumper's, with its force at the usual penetration.
+        let linear = scales.contact_stiffness_n_m();
+        out.extend([1.1, 1.5, 2.0].map(|n: f64| {
+            let mut spec = effect.starting_spec(scales);
+            spec.parameters.insert("kh".to_owned(), linear * p.powf(1.0 - n));
+            spec.parameters.insert("n".to_owned(), n);
+            spec
+        }));
+    }
+    out
+}
+
+/// Breakaway friction is not below the sliding one.
+fn order_friction(spec: &mut EffectSpec) {
+    if let (Some(&fc), Some(fs)) =
+        (spec.parameters.get("fc_n").copied().as_ref(), spec.parameters.get_mut("fs_n"))
+    {
+        *fs = fs.max(1.3 * fc);
+    }
+}

@@ -1,0 +1,315 @@
+//! The whole diagnosis of one record: instruments, re-identification, search, verdict.
+
+use super::instruments::{self, Finding};
+use super::missing_force;
+use super::next_test::{self, Reach};
+use super::report::{Diagnosis, NamedEffect, ParameterEstimate, Reidentified, Rung};
+use super::search::{Effort, Search, Searcher};
+use super::trial::{self, Trial};
+use super::verdict::{self, Decision, Refused, Thresholds, Verdict};
+use crate::identify::kinematics::Tolerances;
+use crate::identify::motion::{Motion, MotionError};
+use crate::identify::problem::{OutputError, Part, Problem};
+use crate::identify::refit::Refit;
+use crate::model::{ModelError, ModelSpec, effects};
+use crate::record::{Kind, Record};
+use std::time::Instant;
+
+/// How a diagnosis is done.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Options {
+    /// Tolerances of the instruments.
+    pub tolerances: Tolerances,
+    /// Effort of the search.
+    pub effort: Effort,
+    /// Thresholds of the verdict.
+    pub thresholds: Thresholds,
+    /// What the rig can do; defaults to the paper's table.
+    pub reach: Option<(f64, f64, f64)>,
+}
+
+/// Why a record cannot be diagnosed.
+#[derive(Debug, thiserror::Error)]
+pub enum DiagnoseError {
+    /// The record does not hold what its kind needs.
+    #[error(transparent)]
+    Motion(#[from] MotionError),
+    /// The model cannot be built.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// The model as given cannot follow the record at all.
+    #[error("the model `{name}` gives no finite response to this record")]
+    Diverges {
+        /// Name of the model.
+        name: String,
+    },
+}
+
+/// NRMSE that stands in reports: the mean square of A's and D's where both were measured.
+pub fn nrmse(error: &OutputError) -> f64 {
+    if error.power_d > 0.0 {
+        (0.5 * (error.nrmse_a().powi(2) + error.nrmse_d().powi(2))).sqrt()
+    } else {
+        error.nrmse_a()
+    }
+}
+
+/// The same of the instruments' noise alone.
+pub fn noise_floor(motion: &Motion, error: &OutputError) -> f64 {
+    let count = error.count as f64;
+    let noise = OutputError {
+        sum_a: motion.restoring_noise_m_s2.powi(2) * count,
+        sum_d: motion.laser_noise_m.powi(2) * count,
+        ..*error
+    };
+    nrmse(&noise)
+}
+
+/// Diagnoses a record against a model.
+///
+/// # Errors
+/// A record that lacks a channel, a model that cannot be built or follows nothing.
+pub fn diagnose(record: &Record, nominal: &ModelSpec, options: &Options) -> Result<Diagnosis, DiagnoseError> {
+    let begun = Instant::now();
+    crate::model::build(nominal, 1.0 / record.sample_rate_hz)?;
+    let motion = Motion::of(record, nominal.mass_kg, options.tolerances)?;
+    let searcher = Searcher::new(&motion, nominal, options.effort);
+    let diverges = || DiagnoseError::Diverges { name: nominal.name.clone() };
+    let search = searcher.search(nominal, options.thresholds).ok_or_else(diverges)?;
+    let decision = verdict::decide(&search, options.thresholds);
+    let findings = motion
+        .instruments
+        .as_ref()
+        .map(|found| instruments::judge(found, record, options.tolerances))
+        .unwrap_or_default();
+    let mut out = Composer { record, nominal, options, motion: &motion, searcher: &searcher }
+        .compose(&search, decision, &findings)
+        .ok_or_else(diverges)?;
+    out.wall_s = begun.elapsed().as_secs_f64();
+    Ok(out)
+}
+
+struct Composer<'a> {
+    record: &'a Record,
+    nominal: &'a ModelSpec,
+    options: &'a Options,
+    motion: &'a Motion,
+    searcher: &'a Searcher<'a>,
+}
+
+impl Composer<'_> {
+    fn compose(&self, search: &Search, decision: Decision, findings: &[Finding]) -> Option<Diagnosis> {
+        let problem = self.searcher.problem();
+        let chosen = &decision.chosen;
+        let after = problem.output_error(&chosen.refit.spec, chosen.refit.zero_m, Part::HeldOut)?;
+        // As given means as measured: instruments uncorrected.
+        let raw = if findings.is_empty() { None } else { self.raw_motion() };
+        let raw_problem = raw
+            .as_ref()
+            .map(|motion| Problem::new(motion, self.nominal, self.options.effort.fitting_samples));
+        let before_problem = raw_problem.as_ref().unwrap_or(problem);
+        let error = |p: &Problem<'_>, spec: &ModelSpec, zero: f64, part: Part| {
+            p.output_error(spec, zero, part).map_or(f64::INFINITY, |e| nrmse(&e))
+        };
+        let reidentified = match &raw_problem {
+            Some(raw) => trial::base(raw, self.nominal, self.searcher.stride())?,
+            None => search.base.clone(),
+        };
+        let rung = |model: &str, p: &Problem<'_>, spec: &ModelSpec, zero: f64| Rung {
+            model: model.to_owned(),
+            training: error(p, spec, zero, Part::Training),
+            held_out: error(p, spec, zero, Part::HeldOut),
+        };
+        let mut ladder = vec![
+            rung("as given", before_problem, self.nominal, 0.0),
+            rung("re-identified", before_problem, &reidentified.refit.spec, reidentified.refit.zero_m),
+        ];
+        if !findings.is_empty() {
+            let label =
+                format!("+ {}", findings.iter().map(|f| f.name.as_str()).collect::<Vec<_>>().join(" + "));
+            ladder.push(rung(&label, problem, &search.base.refit.spec, search.base.refit.zero_m));
+        }
+        for stage in &search.stages {
+            if let Some(trial) = stage.finalists.iter().find(|t| chosen.names.starts_with(&t.names)) {
+                let label = format!("+ {}", verdict::last_name(trial));
+                ladder.push(rung(&label, problem, &trial.refit.spec, trial.refit.zero_m));
+            }
+        }
+        let verdict = match (decision.verdict, findings.is_empty()) {
+            (Verdict::Adequate, false) => Verdict::Missing,
+            (verdict, _) => verdict,
+        };
+        let mut effects: Vec<NamedEffect> =
+            findings.iter().map(|f| instrument_effect(f, ladder.get(2).map(|r| r.held_out))).collect();
+        if verdict != Verdict::OutsideCatalogue {
+            effects.extend(self.named(search, &decision, problem));
+        }
+        let refused = self.refused(&decision);
+        let left = decision.left;
+        Some(Diagnosis {
+            verdict,
+            effects,
+            refused,
+            error_before: ladder[0].held_out,
+            error_reidentified: ladder[1].held_out,
+            error_after: nrmse(&after),
+            noise_floor: noise_floor(self.motion, &after),
+            next_test: if verdict == Verdict::Ambiguous { self.next_test(search, &decision) } else { None },
+            ambiguous_with: decision.ambiguous_with,
+            missing_force: missing_force::map(problem, &search.base.refit, Part::All),
+            ladder,
+            reidentified: self.reidentified(&chosen.refit),
+            not_identifiable: self.not_identifiable(&chosen.refit),
+            notes: self.notes(findings),
+            share_left: left,
+            wall_s: 0.0,
+        })
+    }
+
+    /// The motion with the instruments taken as they are.
+    fn raw_motion(&self) -> Option<Motion> {
+        Motion::uncorrected(self.record, self.nominal.mass_kg).ok()
+    }
+
+    fn named(&self, search: &Search, decision: &Decision, problem: &Problem<'_>) -> Vec<NamedEffect> {
+        let chosen = &decision.chosen;
+        let first = chosen.refit.spec.effects.len() - chosen.names.len();
+        let mut out = Vec::new();
+        for (i, name) in chosen.names.iter().enumerate() {
+            let index = first + i;
+            let scales = super::candidates::scales(&chosen.refit.spec, self.motion);
+            let units = effects::find(name).map(|e| (e.parameters)(&scales)).unwrap_or_default();
+            let mut parameters = std::collections::BTreeMap::new();
+            for parameter in units {
+                if let Some((value, low95, high95)) =
+                    chosen.refit.interval(&format!("effect[{index}].{}", parameter.name))
+                {
+                    let estimate =
+                        ParameterEstimate { value, low95, high95, unit: parameter.unit.to_owned() };
+                    parameters.insert(parameter.name.to_owned(), estimate);
+                }
+            }
+            let probability = if i + 1 == chosen.names.len() {
+                decision.probabilities.iter().find(|(n, _)| n == name).map_or(0.99, |(_, p)| *p)
+            } else {
+                0.99
+            };
+            let partial = search
+                .stages
+                .iter()
+                .flat_map(|s| &s.finalists)
+                .find(|t| t.names == chosen.names[..=i])
+                .and_then(|t| problem.output_error(&t.refit.spec, t.refit.zero_m, Part::HeldOut));
+            out.push(NamedEffect {
+                name: name.clone(),
+                probability,
+                parameters,
+                error_after: partial.map(|e| nrmse(&e)),
+            });
+        }
+        out
+    }
+
+    fn refused(&self, decision: &Decision) -> Vec<Refused> {
+        let mut out: Vec<Refused> = Vec::new();
+        for refused in &decision.refused {
+            if !decision.chosen.names.contains(&refused.name) && !out.iter().any(|r| r.name == refused.name) {
+                out.push(refused.clone());
+            }
+        }
+        out
+    }
+
+    fn next_test(&self, search: &Search, decision: &Decision) -> Option<next_test::NextTest> {
+        let frequencies = self.motion.windows.iter().map(|w| w.frequency_hz);
+        let (low, high) = frequencies.fold((f64::INFINITY, 0.0_f64), |(l, h), f| (l.min(f), h.max(f)));
+        let (stroke_m, velocity_m_s, acceleration_m_s2) = self.options.reach.unwrap_or((0.20, 0.5, 5.9));
+        let tried = if self.motion.kind == Kind::Base {
+            self.motion.rms(&self.motion.drive_m_s2) * 2f64.sqrt()
+        } else {
+            return None;
+        };
+        let reach = Reach {
+            stroke_m,
+            velocity_m_s,
+            acceleration_m_s2,
+            tried_m_s2: tried,
+            tried_hz: (low, high),
+            noise_m_s2: self.motion.restoring_noise_m_s2,
+        };
+        let stage =
+            search.stages.iter().rfind(|s| s.finalists.iter().any(|t| t.names == decision.chosen.names));
+        let chosen = (verdict::last_name(&decision.chosen), &decision.chosen.refit);
+        let finalists = stage.map(|s| s.finalists.as_slice()).unwrap_or_default();
+        let rival: Option<&Trial> = finalists
+            .iter()
+            .find(|t| decision.ambiguous_with.contains(&verdict::last_name(t)))
+            .or_else(|| finalists.iter().find(|t| verdict::last_name(t) != chosen.0));
+        let rival = rival?;
+        next_test::propose((&chosen.0, chosen.1), (&verdict::last_name(rival), &rival.refit), &reach)
+    }
+
+    fn reidentified(&self, refit: &Refit) -> Vec<Reidentified> {
+        refit
+            .numbers
+            .numbers
+            .iter()
+            .filter_map(|number| {
+                let nominal = self.nominal.get(&number.key).ok()?;
+                let (value, low95, high95) = refit.interval(&number.key)?;
+                Some(Reidentified { key: number.key.clone(), nominal, value, low95, high95 })
+            })
+            .collect()
+    }
+
+    /// Numbers whose interval is hardly narrower than what the model file allowed.
+    fn not_identifiable(&self, refit: &Refit) -> Vec<String> {
+        let mut out = Vec::new();
+        if self.motion.kind == Kind::Base {
+            out.push(
+                "mass_kg against all stiffnesses and dampings together (only force over mass is seen)"
+                    .to_owned(),
+            );
+        }
+        for (j, free) in refit.numbers.free.iter().enumerate() {
+            if refit.sigmas[j] > 0.7 * free.prior.1 {
+                out.push(free.key.clone());
+            }
+        }
+        out
+    }
+
+    fn notes(&self, findings: &[Finding]) -> Vec<String> {
+        let mut notes = self.record.notes.clone();
+        notes.extend(findings.iter().map(|f| format!("{}: {}", f.name, f.text)));
+        if let Some(found) = &self.motion.instruments {
+            let [a, b] = found.accelerometers;
+            notes.push(format!(
+                "instruments: laser gain {:.4}, late by {:.0} us; accelerometer gains {:.4} and {:.4}; table acceleration leaks {:.2} % and {:.2} %; noise {:.4} and {:.4} m/s2, laser {:.1} um (taken out below tolerance)",
+                found.laser_gain.value,
+                1e6 * found.laser_delay_s.value,
+                a.gain.value,
+                b.gain.value,
+                100.0 * a.leak.value,
+                100.0 * b.leak.value,
+                a.noise_m_s2,
+                b.noise_m_s2,
+                1e6 * found.laser_noise_m
+            ));
+        }
+        notes
+    }
+}
+
+fn instrument_effect(finding: &Finding, error_after: Option<f64>) -> NamedEffect {
+    let parameters = finding
+        .parameters
+        .iter()
+        .map(|(name, e, unit)| {
+            let estimate =
+                ParameterEstimate { value: e.value, low95: e.low95, high95: e.high95, unit: unit.clone() };
+            (name.clone(), estimate)
+        })
+        .collect();
+    NamedEffect { name: finding.name.clone(), probability: 0.99, parameters, error_after }
+}

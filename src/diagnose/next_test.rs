@@ -1,0 +1,196 @@
+//! The test that would part two explanations: among what the rig can do, the one in which the
+//! rivals' simulated responses differ most against the noise.
+
+use crate::identify::refit::Refit;
+use crate::model::{self, ModelSpec};
+use crate::units::STANDARD_GRAVITY_M_S2;
+use serde::Serialize;
+use std::f64::consts::TAU;
+
+/// A proposed test.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct NextTest {
+    /// What to do, in a line.
+    pub title: String,
+    /// Why, in a line.
+    pub reason: String,
+    /// RMS difference of the rivals' A over the noise, expected; zero for tests that are not a
+    /// sweep.
+    pub expected_discrimination: f64,
+    /// The sweep to run, when it is one (keys as in a sweep file).
+    pub sweep: Option<SweepProposal>,
+}
+
+/// A sweep that the rig can do.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SweepProposal {
+    /// First frequency, Hz.
+    pub start_hz: f64,
+    /// Last frequency, Hz.
+    pub stop_hz: f64,
+    /// Step, Hz.
+    pub step_hz: f64,
+    /// Counted cycles a step.
+    pub cycles: u32,
+    /// Peak acceleration, g.
+    pub acceleration_g: f64,
+    /// Take the bumpers off.
+    pub without_bumpers: bool,
+    /// Another total gap, m.
+    pub total_gap_m: Option<f64>,
+}
+
+/// What the rig can do.
+#[derive(Clone, Copy, Debug)]
+pub struct Reach {
+    /// Largest displacement, m.
+    pub stroke_m: f64,
+    /// Largest velocity, m/s.
+    pub velocity_m_s: f64,
+    /// Largest acceleration, m/s2.
+    pub acceleration_m_s2: f64,
+    /// A_G of the record, m/s2.
+    pub tried_m_s2: f64,
+    /// Lowest and highest frequency of the record, Hz.
+    pub tried_hz: (f64, f64),
+    /// Noise of A, m/s2 rms.
+    pub noise_m_s2: f64,
+}
+
+/// Tests that no simulation of a base sweep can rank: the twins of a single record.
+fn known(a: &str, b: &str) -> Option<(&'static str, &'static str)> {
+    let pair = |x: &str, y: &str| (a == x && b == y) || (a == y && b == x);
+    Some(if pair("constant-force", "gap-asymmetry") {
+        ("repeat without bumpers", "a constant force still shifts D, an asymmetric gap does not")
+    } else if pair("constant-force", "laser-zero") {
+        (
+            "static zero and tilt: release the mass, read D at rest on the levelled and tilted table",
+            "only a force moves the mass",
+        )
+    } else if a == "mass-error" || b == "mass-error" {
+        (
+            "static pull, or repeat with a known added mass",
+            "a base record fixes only force over mass; no other A_G parts mass from all stiffnesses and dampings scaled",
+        )
+    } else if pair("stiffness-degradation", "drift") {
+        (
+            "repeat or reverse the sweep",
+            "a degraded isolator does not come back, a drift does not follow the load",
+        )
+    } else if a == "stand-compliance" || b == "stand-compliance" {
+        ("an accelerometer on the stand, same sweep", "a softer bumper does not move its stand")
+    } else {
+        return None;
+    })
+}
+
+/// Proposes the test that best parts the fitted rivals.
+pub fn propose(first: (&str, &Refit), second: (&str, &Refit), reach: &Reach) -> Option<NextTest> {
+    if let Some((title, reason)) = known(first.0, second.0) {
+        return Some(NextTest {
+            title: title.to_owned(),
+            reason: reason.to_owned(),
+            expected_discrimination: 0.0,
+            sweep: None,
+        });
+    }
+    let mut best: Option<NextTest> = None;
+    for proposal in proposals(&first.1.spec, reach) {
+        let Some(difference) = separation(&first.1.spec, &second.1.spec, &proposal, reach) else { continue };
+        if best.as_ref().is_none_or(|b| difference > b.expected_discrimination) {
+            best = Some(NextTest {
+                title: describe(&proposal),
+                reason: format!(
+                    "{} and {} then differ by {difference:.1} times the noise of A (rms)",
+                    first.0, second.0
+                ),
+                expected_discrimination: difference,
+                sweep: Some(proposal),
+            });
+        }
+    }
+    best
+}
+
+fn describe(p: &SweepProposal) -> String {
+    let bumpers = match (p.without_bumpers, p.total_gap_m) {
+        (true, _) => ", bumpers off".to_owned(),
+        (false, Some(gap)) => format!(", total gap {:.0} mm", 1e3 * gap),
+        _ => String::new(),
+    };
+    format!("sweep {:.2}-{:.2} Hz at {:.3} g{bumpers}", p.start_hz, p.stop_hz, p.acceleration_g)
+}
+
+/// Lower and higher A_G, wider frequencies, other gaps and no bumpers, all within capacity.
+fn proposals(spec: &ModelSpec, reach: &Reach) -> Vec<SweepProposal> {
+    let mut out = Vec::new();
+    let (low, high) = reach.tried_hz;
+    let gaps: Vec<Option<f64>> = match &spec.bumper {
+        Some(b) => vec![None, Some(0.7 * b.total_gap_m), Some(1.4 * b.total_gap_m)],
+        None => vec![None],
+    };
+    for factor in [0.4, 0.7, 1.0, 1.4] {
+        for (start, stop) in [(low, high), (0.5 * low, 0.5 * (low + high)), (low, 1.6 * high)] {
+            let a = factor * reach.tried_m_s2;
+            let w = TAU * start;
+            let possible =
+                a / (w * w) <= reach.stroke_m && a / w <= reach.velocity_m_s && a <= reach.acceleration_m_s2;
+            if !possible {
+                continue;
+            }
+            let mut push = |without_bumpers: bool, total_gap_m: Option<f64>| {
+                out.push(SweepProposal {
+                    start_hz: start,
+                    stop_hz: stop,
+                    step_hz: (stop - start) / 8.0,
+                    cycles: 10,
+                    acceleration_g: a / STANDARD_GRAVITY_M_S2,
+                    without_bumpers,
+                    total_gap_m,
+                });
+            };
+            for gap in &gaps {
+                push(false, *gap);
+            }
+            if spec.bumper.is_some() {
+                push(true, None);
+            }
+        }
+    }
+    out
+}
+
+/// RMS difference of A between two models over a proposed sweep, in units of the noise.
+fn separation(a: &ModelSpec, b: &ModelSpec, p: &SweepProposal, reach: &Reach) -> Option<f64> {
+    let changed = |spec: &ModelSpec| {
+        let mut spec = spec.clone();
+        if p.without_bumpers {
+            spec.bumper = None;
+            spec.effects.retain(|e| !model::effects::find(&e.name).is_ok_and(|f| f.needs_bumper()));
+        }
+        if let (Some(bumper), Some(gap)) = (&mut spec.bumper, p.total_gap_m) {
+            bumper.total_gap_m = gap;
+        }
+        spec
+    };
+    let (a, b) = (changed(a), changed(b));
+    let amplitude = p.acceleration_g * STANDARD_GRAVITY_M_S2;
+    let (mut sum, mut count) = (0.0, 0usize);
+    for i in 0..5 {
+        let f = p.start_hz + (p.stop_hz - p.start_hz) * f64::from(i) / 4.0;
+        let dt = 1.0 / (200.0 * f);
+        let (mut one, mut two) = (model::build(&a, dt).ok()?, model::build(&b, dt).ok()?);
+        one.reset();
+        two.reset();
+        for n in 1..=200 * 8 {
+            let input = amplitude * (TAU * f * f64::from(n) * dt).sin();
+            let (x, y) = (one.step(input), two.step(input));
+            if n > 200 * 5 {
+                sum += (x.mass_acceleration_m_s2 - y.mass_acceleration_m_s2).powi(2);
+                count += 1;
+            }
+        }
+    }
+    let rms = (sum / count.max(1) as f64).sqrt();
+    rms.is_finite().then(|| rms / reach.noise_m_s2.max(1e-300))
+}

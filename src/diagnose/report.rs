@@ -1,0 +1,199 @@
+//! The answer of a diagnosis, as JSON and as text an engineer reads.
+
+use super::missing_force::MissingForce;
+use super::next_test::NextTest;
+use super::verdict::{Refused, Verdict};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// One effect named by a verdict.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct NamedEffect {
+    /// Name in the catalogue.
+    pub name: String,
+    /// How sure.
+    pub probability: f64,
+    /// Parameters by name.
+    pub parameters: BTreeMap<String, ParameterEstimate>,
+    /// Held-out error with this effect (and those before it in the list).
+    pub error_after: Option<f64>,
+}
+
+/// One parameter of a named effect.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ParameterEstimate {
+    /// Best value.
+    pub value: f64,
+    /// Lower end of the 95 % interval.
+    pub low95: f64,
+    /// Upper end of the 95 % interval.
+    pub high95: f64,
+    /// Unit.
+    pub unit: String,
+}
+
+/// One step of the error ladder.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Rung {
+    /// What the model is at this step.
+    pub model: String,
+    /// NRMSE on the steps that the fit saw.
+    pub training: f64,
+    /// NRMSE on the held-out steps.
+    pub held_out: f64,
+}
+
+/// One re-identified number of the base model.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Reidentified {
+    /// Key in the model file.
+    pub key: String,
+    /// In the model file.
+    pub nominal: f64,
+    /// Re-identified together with the named effects.
+    pub value: f64,
+    /// Lower end of the 95 % interval.
+    pub low95: f64,
+    /// Upper end of the 95 % interval.
+    pub high95: f64,
+}
+
+/// The whole answer. Errors are NRMSE of the held-out steps: RMS of the error over RMS of the
+/// measured signal, the mean square of A's and D's where both were measured.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Diagnosis {
+    /// Verdict.
+    pub verdict: Verdict,
+    /// Named effects, best first.
+    pub effects: Vec<NamedEffect>,
+    /// What was tried and refused.
+    pub refused: Vec<Refused>,
+    /// Error of the model as given.
+    pub error_before: f64,
+    /// Error after re-identifying its own numbers.
+    pub error_reidentified: f64,
+    /// Error with the named effects.
+    pub error_after: f64,
+    /// Error that the noise of the instruments alone makes.
+    pub noise_floor: f64,
+    /// Names that explain the record as well.
+    pub ambiguous_with: Vec<String>,
+    /// The test that would part the rivals or sharpen the answer.
+    pub next_test: Option<NextTest>,
+    /// What is left over displacement and velocity after re-identification.
+    pub missing_force: Option<MissingForce>,
+    /// Error ladder.
+    pub ladder: Vec<Rung>,
+    /// Re-identified numbers.
+    pub reidentified: Vec<Reidentified>,
+    /// Numbers that this record cannot tell.
+    pub not_identifiable: Vec<String>,
+    /// What was noticed about record and instruments.
+    pub notes: Vec<String>,
+    /// Share of the excess over the noise that is left.
+    pub share_left: f64,
+    /// Wall time, s.
+    pub wall_s: f64,
+}
+
+impl Diagnosis {
+    /// The answer in words.
+    pub fn text(&self) -> String {
+        let mut out = String::new();
+        let mut line = |text: String| {
+            out.push_str(&text);
+            out.push('\n');
+        };
+        let names = self.effects.iter().map(|e| e.name.as_str()).collect::<Vec<_>>().join(", ");
+        line(match self.verdict {
+            Verdict::Adequate => {
+                "Verdict: adequate - nothing is missing beyond noise and parameters".to_owned()
+            }
+            Verdict::Missing => format!("Verdict: missing - {names}"),
+            Verdict::Ambiguous => {
+                format!("Verdict: ambiguous - {names}, or as well {}", self.ambiguous_with.join(", "))
+            }
+            Verdict::OutsideCatalogue => {
+                "Verdict: outside the catalogue - no known effect explains it".to_owned()
+            }
+        });
+        line(format!(
+            "Error on held-out steps: {:.3} % as given, {:.3} % re-identified, {:.3} % after; noise floor {:.3} %",
+            100.0 * self.error_before,
+            100.0 * self.error_reidentified,
+            100.0 * self.error_after,
+            100.0 * self.noise_floor
+        ));
+        for effect in &self.effects {
+            line(format!("  {} (probability {:.2})", effect.name, effect.probability));
+            for (name, p) in &effect.parameters {
+                line(format!(
+                    "    {name} = {} {} (95 %: {} to {})",
+                    Short(p.value),
+                    p.unit,
+                    Short(p.low95),
+                    Short(p.high95)
+                ));
+            }
+        }
+        if !self.reidentified.is_empty() {
+            line("Re-identified numbers:".to_owned());
+            for r in &self.reidentified {
+                line(format!(
+                    "  {:<28} {:>12} -> {:>12} (95 %: {} to {})",
+                    r.key,
+                    Short(r.nominal),
+                    Short(r.value),
+                    Short(r.low95),
+                    Short(r.high95)
+                ));
+            }
+        }
+        for note in &self.notes {
+            line(format!("Note: {note}"));
+        }
+        if !self.not_identifiable.is_empty() {
+            line(format!("This record cannot tell: {}", self.not_identifiable.join("; ")));
+        }
+        if !self.refused.is_empty() {
+            line("Refused:".to_owned());
+            for refused in &self.refused {
+                line(format!("  {}: {}", refused.name, refused.reason));
+            }
+        }
+        if let Some(force) = &self.missing_force {
+            line(format!(
+                "What is missing after re-identification: {:.0} % of it is a surface over D and D', {:.0} % lies in contact ({:.0} % of the time)",
+                100.0 * force.explained_by_surface,
+                100.0 * force.power_in_contact,
+                100.0 * force.time_in_contact
+            ));
+            if let Some(draft) = &force.expression {
+                line(format!("  draft: {} (explains {:.0} %)", draft.expression, 100.0 * draft.explains));
+            }
+        }
+        if let Some(test) = &self.next_test {
+            line(format!("Next test: {} - {}", test.title, test.reason));
+        }
+        out
+    }
+}
+
+/// A number with five significant digits, whatever its magnitude.
+struct Short(f64);
+
+impl std::fmt::Display for Short {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let magnitude = self.0.abs();
+        let text = if magnitude == 0.0 || (1e-3..1e6).contains(&magnitude) {
+            let digits = (4 - magnitude.max(1e-3).log10().floor() as i32).clamp(0, 8) as usize;
+            format!("{:.digits$}", self.0)
+        } else {
+            format!("{:.4e}", self.0)
+        };
+        match f.width() {
+            Some(width) => write!(f, "{text:>width$}"),
+            None => f.write_str(&text),
+        }
+    }
+}

@@ -1,0 +1,247 @@
+//! The search for what is missing: base re-fitted, candidates one by one, then in combination.
+
+use super::candidates;
+use super::trial::{self, Trial};
+use super::verdict::{self, Thresholds};
+use crate::identify::least_squares::Settings;
+use crate::identify::motion::Motion;
+use crate::identify::problem::{Part, Problem};
+use crate::identify::refit::{Domain, Refit};
+use crate::model::effects::Effect;
+use crate::model::{EffectSpec, ModelSpec, Scales};
+
+/// Settings of a search.
+#[derive(Clone, Copy, Debug)]
+pub struct Effort {
+    /// Thinned samples for screening.
+    pub screening_samples: usize,
+    /// Thinned samples for the fits of those that passed.
+    pub fitting_samples: usize,
+    /// Samples used in the output domain.
+    pub output_samples: usize,
+    /// How many candidates are fitted in full.
+    pub finalists: usize,
+    /// At most so many effects together.
+    pub together: usize,
+}
+
+impl Default for Effort {
+    fn default() -> Self {
+        Self {
+            screening_samples: 20_000,
+            fitting_samples: 400_000,
+            output_samples: 60_000,
+            finalists: 5,
+            together: 3,
+        }
+    }
+}
+
+/// A candidate that leaves more of the excess than the best one, by this share, is not fitted in full.
+const NEAR: f64 = 0.25;
+/// Nats that a candidate brings on the thinned record before it is fitted in full.
+const PROMISING: f64 = 3.0;
+/// So many finalists are simulated at most, those within so many nats of the best.
+const SIMULATED: usize = 3;
+const CLOSE: f64 = 50.0;
+
+/// What a search found at one stage: the best so far plus one more effect.
+#[derive(Clone, Debug)]
+pub struct Stage {
+    /// Fully fitted candidates, best held-out score first.
+    pub finalists: Vec<Trial>,
+    /// Names of those that did not pass the screening, with the share of the excess they left.
+    pub screened: Vec<(String, f64)>,
+}
+
+/// A finished search.
+#[derive(Clone, Debug)]
+pub struct Search {
+    /// The base model re-fitted.
+    pub base: Trial,
+    /// Stages, one effect more each.
+    pub stages: Vec<Stage>,
+}
+
+/// Everything a search needs to know.
+pub struct Searcher<'a> {
+    motion: &'a Motion,
+    effort: Effort,
+    screening: Problem<'a>,
+    fitting: Problem<'a>,
+    stride: usize,
+}
+
+impl<'a> Searcher<'a> {
+    /// Prepares the problems; the weights of the samples come from the nominal model.
+    pub fn new(motion: &'a Motion, nominal: &ModelSpec, effort: Effort) -> Self {
+        let total: usize = motion.windows.iter().map(|w| w.range.len()).sum();
+        Self {
+            motion,
+            effort,
+            screening: Problem::new(motion, nominal, effort.screening_samples),
+            fitting: Problem::new(motion, nominal, effort.fitting_samples),
+            stride: total.div_ceil(effort.output_samples.max(1)).max(1),
+        }
+    }
+
+    /// The problem with the finer thinning.
+    pub fn problem(&self) -> &Problem<'a> {
+        &self.fitting
+    }
+
+    /// Every so many samples count in the output domain.
+    pub fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// Re-fits the base model.
+    pub fn base(&self, nominal: &ModelSpec) -> Option<Trial> {
+        trial::base(&self.fitting, nominal, self.stride)
+    }
+
+    /// Tries every candidate on top of a fitted model.
+    pub fn stage(&self, from: &Trial) -> Stage {
+        let scales = candidates::scales(&from.refit.spec, self.motion);
+        let effects = candidates::physical(&from.refit.spec, self.motion.kind);
+        let settled = Settings { iterations: 4, ..Settings::default() };
+        let Some(base) = trial::polish(&self.screening, &from.refit, Domain::Force, settled) else {
+            return Stage { finalists: Vec::new(), screened: Vec::new() };
+        };
+        let mut best = self.screen(&base, &effects, &scales);
+        let reference = trial::objective(&base).max(1e-300);
+        let floor = (self.screening.weighted_count(Part::Training) as f64).min(reference);
+        let share = |objective: f64| (objective - floor) / (reference - floor).max(1e-9 * reference);
+        best.sort_by(|a, b| trial::objective(&a.1).total_cmp(&trial::objective(&b.1)));
+        // The best goes on, and who comes near it. A second always does where the best brings
+        // anything, to be refused by name.
+        let near = best.first().map_or(0.0, |(_, refit)| share(trial::objective(refit))) + NEAR;
+        let brings = |refit: &Refit| reference - trial::objective(refit) > 2.0 * PROMISING;
+        let pass = best
+            .iter()
+            .take(self.effort.finalists)
+            .enumerate()
+            .take_while(|(i, (_, refit))| {
+                *i == 0 || brings(refit) && (*i == 1 || share(trial::objective(refit)) < near)
+            })
+            .count();
+        let screened: Vec<(String, f64)> = best
+            .iter()
+            .skip(pass)
+            .map(|(name, refit)| ((*name).to_owned(), share(trial::objective(refit))))
+            .collect();
+        best.truncate(pass);
+        let finalists = self.finalists(from, &best);
+        Stage { finalists, screened }
+    }
+
+    /// The best fit of every effect on the thinned record: all starts take two steps, the best two
+    /// of an effect go on.
+    fn screen(
+        &self,
+        base: &Refit,
+        effects: &[&'static Effect],
+        scales: &Scales,
+    ) -> Vec<(&'static str, Refit)> {
+        let first = Settings { iterations: 2, ..Settings::default() };
+        let then = Settings { iterations: 8, tolerance: 1e-5, ..Settings::default() };
+        let work: Vec<(&'static str, EffectSpec)> = effects
+            .iter()
+            .flat_map(|e| candidates::starts(e, scales).into_iter().map(|s| (e.name, s)))
+            .collect();
+        let tried = trial::on_all_cores(&work, |(name, start)| {
+            trial::in_force(&self.screening, base, start, scales, first).map(|refit| (*name, refit))
+        });
+        let mut tried: Vec<(&'static str, Refit)> = tried.into_iter().flatten().collect();
+        tried.sort_by(|a, b| trial::objective(&a.1).total_cmp(&trial::objective(&b.1)));
+        let mut seen: Vec<&str> = Vec::new();
+        tried.retain(|(name, _)| {
+            seen.push(name);
+            seen.iter().filter(|n| *n == name).count() <= 2
+        });
+        let fitted = trial::on_all_cores(&tried, |(name, refit)| {
+            trial::polish(&self.screening, refit, Domain::Force, then).map(|refit| (*name, refit))
+        });
+        let mut best: Vec<(&'static str, Refit)> = Vec::new();
+        for (name, refit) in fitted.into_iter().flatten() {
+            match best.iter_mut().find(|(n, _)| *n == name) {
+                Some((_, old)) if trial::objective(&refit) < trial::objective(old) => *old = refit,
+                Some(_) => {}
+                None => best.push((name, refit)),
+            }
+        }
+        best
+    }
+
+    /// Fits those that passed in full, ranks them by force on held-out steps, and has the best of
+    /// them simulated.
+    fn finalists(&self, from: &Trial, best: &[(&'static str, Refit)]) -> Vec<Trial> {
+        let fitted = trial::on_all_cores(best, |(name, refit)| {
+            let mut names = from.names.clone();
+            names.push((*name).to_owned());
+            let fine = Settings { iterations: 10, tolerance: 1e-6, ..Settings::default() };
+            let refit = trial::polish(&self.fitting, refit, Domain::Force, fine)?;
+            trial::judge_by_force(&self.fitting, &names, refit)
+        });
+        let mut finalists: Vec<Trial> = fitted.into_iter().flatten().collect();
+        finalists.sort_by(|a, b| a.force.chi2.total_cmp(&b.force.chi2));
+        let close = finalists
+            .iter()
+            .take(SIMULATED)
+            .filter(|t| verdict::gain(&finalists[0], t) < CLOSE)
+            .cloned()
+            .collect::<Vec<_>>();
+        let simulated = trial::on_all_cores(&close, |t| trial::finish(&self.fitting, t, self.stride));
+        for (slot, trial) in finalists.iter_mut().zip(simulated) {
+            if let Some(trial) = trial {
+                *slot = trial;
+            }
+        }
+        finalists
+    }
+
+    /// Adds effects one at a time for as long as a good part of the excess is left and falls.
+    pub fn search(&self, nominal: &ModelSpec, thresholds: Thresholds) -> Option<Search> {
+        let enough = 0.5 * thresholds.left;
+        let base = self.base(nominal)?;
+        let mut search = Search { base, stages: Vec::new() };
+        for depth in 0..self.effort.together {
+            let from = search.best().clone();
+            if depth > 0 && (from.share_left(&search.base) < enough || from.excess() < thresholds.excess) {
+                break;
+            }
+            let mut stage = self.stage(&from);
+            let done = |stage: &Stage, base: &Trial| {
+                stage
+                    .finalists
+                    .first()
+                    .is_some_and(|best| best.share_left(base) < enough || best.excess() < thresholds.excess)
+            };
+            // A pair may also grow from the second best: greedy search alone can start wrong.
+            let second = search.stages.first().and_then(|s| s.finalists.get(1));
+            if let (1, false, Some(second)) = (depth, done(&stage, &search.base), second) {
+                stage.finalists.extend(self.stage(second).finalists);
+                stage.finalists.sort_by(|a, b| a.force.chi2.total_cmp(&b.force.chi2));
+            }
+            let gained =
+                stage.finalists.first().is_some_and(|best| verdict::gain(best, &from) > thresholds.gain);
+            search.stages.push(stage);
+            if !gained {
+                break;
+            }
+        }
+        Some(search)
+    }
+}
+
+impl Search {
+    /// The best trial of all stages, the base when there is none.
+    pub fn best(&self) -> &Trial {
+        self.stages
+            .iter()
+            .filter_map(|stage| stage.finalists.first())
+            .chain(std::iter::once(&self.base))
+            .min_by(|a, b| a.force.chi2.total_cmp(&b.force.chi2))
+            .unwrap_or(&self.base)
+    }
+}

@@ -1,0 +1,178 @@
+//! One candidate tried: fitted together with the base model's numbers, judged on held-out steps.
+
+use crate::identify::least_squares::Settings;
+use crate::identify::numbers::Numbers;
+use crate::identify::problem::{Part, Problem};
+use crate::identify::refit::{Domain, Refit, inflation, refit};
+use crate::model::{EffectSpec, ModelSpec, Scales};
+use crate::record::Kind;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// How a fitted model does on what it has not seen.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Score {
+    /// Sum of squared noise-weighted residuals.
+    pub chi2: f64,
+    /// Number of residuals that carry weight.
+    pub count: usize,
+    /// Covariance of neighbouring residuals: what is left has structure, noise has none, whatever
+    /// its level.
+    pub excess: f64,
+    /// How many residuals count as one independent one, apart from their size.
+    pub colour: f64,
+}
+
+impl Score {
+    /// Scores residuals; `carried` is the covariance of neighbours that is no structure.
+    fn of(residuals: &[f64], carried: f64) -> Self {
+        let count = residuals.iter().filter(|r| **r != 0.0).count();
+        let chi2: f64 = residuals.iter().map(|r| r * r).sum();
+        let neighbours: f64 = residuals.windows(2).map(|r| r[0] * r[1]).sum();
+        let mean = chi2 / count.max(1) as f64;
+        Self {
+            chi2,
+            count,
+            excess: (neighbours / count.max(1) as f64 - carried).max(0.0),
+            colour: (inflation(residuals) / mean.max(1.0)).max(1.0),
+        }
+    }
+
+    /// Mean square in units of the noise: about 1 when nothing is left.
+    pub fn mean(&self) -> f64 {
+        self.chi2 / self.count.max(1) as f64
+    }
+}
+
+/// A candidate with its fit.
+#[derive(Clone, Debug)]
+pub struct Trial {
+    /// Effects beyond the given model, in the order they were added.
+    pub names: Vec<String>,
+    /// The fit.
+    pub refit: Refit,
+    /// Restoring force along the measured motion of held-out steps: ranks explanations.
+    pub force: Score,
+    /// Simulated response of held-out steps: an explanation has to improve it. `None` for rivals
+    /// that the force alone already refuses.
+    pub output: Option<Score>,
+}
+
+impl Trial {
+    /// Number of fitted values.
+    pub fn dimension(&self) -> usize {
+        self.refit.fit.values.len()
+    }
+
+    /// Share of the excess of `base` that is left, by force or by response, whichever is less: a
+    /// hard contact amplifies the noise of the start in the response, and that of the laser in
+    /// the force.
+    pub fn share_left(&self, base: &Self) -> f64 {
+        let share = |with: &Score, of: &Score| with.excess / of.excess.max(1e-3);
+        let force = share(&self.force, &base.force);
+        match (&self.output, &base.output) {
+            (Some(with), Some(of)) => force.min(share(with, of)),
+            _ => force,
+        }
+    }
+
+    /// Structure that is left, in units of the noise.
+    pub fn excess(&self) -> f64 {
+        self.output.map_or(self.force.excess, |output| output.excess.min(self.force.excess))
+    }
+}
+
+/// Fits the base model's numbers alone.
+pub fn base(problem: &Problem<'_>, nominal: &ModelSpec, stride: usize) -> Option<Trial> {
+    let mut numbers = Numbers::of_base(nominal);
+    for index in 0..nominal.effects.len() {
+        numbers.add_effect(nominal, index, &super::candidates::scales(nominal, problem.motion));
+    }
+    let first = refit(problem, nominal, &numbers, 0.0, Domain::Force, Part::Training, Settings::default())?;
+    finish(problem, &judge_by_force(problem, &[], first)?, stride)
+}
+
+/// Adds an effect to a fitted base and fits everything in the force domain.
+pub fn in_force(
+    problem: &Problem<'_>,
+    from: &Refit,
+    start: &EffectSpec,
+    scales: &Scales,
+    settings: Settings,
+) -> Option<Refit> {
+    let mut spec = from.spec.clone();
+    spec.effects.push(start.clone());
+    let mut numbers = from.numbers.clone();
+    numbers.start_from(&from.spec);
+    numbers.add_effect(&spec, spec.effects.len() - 1, scales);
+    refit(problem, &spec, &numbers, from.zero_m, Domain::Force, Part::Training, settings)
+}
+
+/// Residuals plus priors.
+pub fn objective(refit: &Refit) -> f64 {
+    refit.fit.residual_sum + refit.fit.prior_sum
+}
+
+/// Re-fits from the values of `from`, on another problem or in another domain.
+pub fn polish(problem: &Problem<'_>, from: &Refit, domain: Domain, settings: Settings) -> Option<Refit> {
+    let mut numbers = from.numbers.clone();
+    numbers.start_from(&from.spec);
+    let part = if domain == Domain::Force { Part::Training } else { Part::Brief };
+    refit(problem, &from.spec, &numbers, from.zero_m, domain, part, settings)
+}
+
+/// Scores a fit on the held-out steps by force.
+pub fn judge_by_force(problem: &Problem<'_>, names: &[String], refit: Refit) -> Option<Trial> {
+    let mut residuals = Vec::new();
+    let sound = problem.force_residuals(&refit.spec, refit.zero_m, Part::HeldOut, &mut residuals);
+    // Half as much again: the noise of the displacement is not known better than that.
+    let carried = 1.5 * problem.carried_noise(Part::HeldOut);
+    sound.then(|| Trial { names: names.to_vec(), force: Score::of(&residuals, carried), refit, output: None })
+}
+
+/// Refines a fit by the simulated response and scores it on the held-out steps. Where the
+/// simulation makes it worse on what was fitted (another branch of a jump), the force fit stays.
+pub fn finish(problem: &Problem<'_>, trial: &Trial, stride: usize) -> Option<Trial> {
+    if problem.motion.kind == Kind::Component {
+        return Some(trial.clone());
+    }
+    let settings = Settings { iterations: 4, tolerance: 1e-4, ..Settings::default() };
+    let polished = polish(problem, &trial.refit, Domain::Output { stride }, settings);
+    let mean = |refit: &Refit| output_score(problem, refit, Part::Training, stride).map(|s| s.mean());
+    let refit = polished.filter(|p| {
+        let (with, without) = (mean(p), mean(&trial.refit));
+        with.is_some_and(|with| without.is_none_or(|without| with < without))
+    });
+    let refit = refit.unwrap_or_else(|| trial.refit.clone());
+    let output = Some(output_score(problem, &refit, Part::HeldOut, stride)?);
+    Some(Trial { refit, output, ..trial.clone() })
+}
+
+/// Scores a fitted model on the simulated steps of a part.
+fn output_score(problem: &Problem<'_>, refit: &Refit, part: Part, stride: usize) -> Option<Score> {
+    let mut residuals = Vec::new();
+    let sound = problem.output_residuals(&refit.spec, refit.zero_m, part, stride, &mut residuals);
+    sound.then(|| Score::of(&residuals, 0.0))
+}
+
+/// Runs a function for every item on all cores, results in the order of the items.
+pub fn on_all_cores<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
+    let next = AtomicUsize::new(0);
+    let results: Vec<Mutex<Option<R>>> = items.iter().map(|_| Mutex::new(None)).collect();
+    let cores = std::thread::available_parallelism().map_or(1, |n| n.get()).min(items.len().max(1));
+    std::thread::scope(|scope| {
+        for _ in 0..cores {
+            scope.spawn(|| {
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    let (Some(item), Some(slot)) = (items.get(index), results.get(index)) else { break };
+                    let result = work(item);
+                    if let Ok(mut slot) = slot.lock() {
+                        *slot = Some(result);
+                    }
+                }
+            });
+        }
+    });
+    results.into_iter().filter_map(|slot| slot.into_inner().ok().flatten()).collect()
+}

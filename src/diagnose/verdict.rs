@@ -1,0 +1,213 @@
+//! From a search to one of the four verdicts.
+
+use super::candidates::contained_in;
+use super::search::Search;
+use super::trial::Trial;
+use serde::Serialize;
+
+/// The answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Verdict {
+    /// Nothing beyond the noise and the parameters' own uncertainty.
+    Adequate,
+    /// One effect, or several, explain what was left.
+    Missing,
+    /// Several explain it equally well.
+    Ambiguous,
+    /// Structure is left that the catalogue does not explain.
+    OutsideCatalogue,
+}
+
+impl Verdict {
+    /// As in the JSON contract.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Adequate => "adequate",
+            Self::Missing => "missing",
+            Self::Ambiguous => "ambiguous",
+            Self::OutsideCatalogue => "outside-catalogue",
+        }
+    }
+}
+
+/// Thresholds of the decision, each with its reason.
+#[derive(Clone, Copy, Debug)]
+pub struct Thresholds {
+    /// Gain of log-likelihood on held-out steps that an effect must bring (nats, coloured
+    /// residuals considered): below it, chance and numerical error are explanation enough.
+    pub gain: f64,
+    /// Difference of log-likelihood below which two explanations are not told apart, nats.
+    pub tie: f64,
+    /// Share of the base model's excess that may be left by a complete explanation.
+    pub left: f64,
+    /// Mean-square excess over the noise floor that is not worth a verdict.
+    pub excess: f64,
+}
+
+impl Default for Thresholds {
+    fn default() -> Self {
+        Self { gain: 12.0, tie: 6.0, left: 0.2, excess: 0.02 }
+    }
+}
+
+/// A candidate that was not taken, and why.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Refused {
+    /// Effect.
+    pub name: String,
+    /// Why.
+    pub reason: String,
+}
+
+/// What was decided.
+#[derive(Clone, Debug)]
+pub struct Decision {
+    /// The verdict.
+    pub verdict: Verdict,
+    /// The trial that carries it (the base when adequate).
+    pub chosen: Trial,
+    /// Names that explain it as well (of the effect added last).
+    pub ambiguous_with: Vec<String>,
+    /// Probability of each finalist of the last stage taken, best first.
+    pub probabilities: Vec<(String, f64)>,
+    /// Everything else.
+    pub refused: Vec<Refused>,
+    /// Share of the excess that is left.
+    pub left: f64,
+}
+
+/// Difference of log-likelihood of two trials on the held-out steps, in nats: how much better the
+/// first is. The noise level itself is estimated, so the logarithm of the mean squares is compared.
+pub fn gain(better: &Trial, worse: &Trial) -> f64 {
+    let independent = better.force.count as f64 / better.force.colour;
+    0.5 * independent * (worse.force.mean().max(1e-300) / better.force.mean().max(1e-300)).ln()
+}
+
+/// Decides.
+pub fn decide(search: &Search, thresholds: Thresholds) -> Decision {
+    let base = &search.base;
+    let mut taken = base.clone();
+    let mut refused = Vec::new();
+    let mut ambiguous_with = Vec::new();
+    let mut probabilities = Vec::new();
+    for stage in &search.stages {
+        let Some((chosen, rivals)) = choose(&stage.finalists, &taken, thresholds) else {
+            for trial in &stage.finalists {
+                refused.push(refuse(trial, &taken, base, "no gain on held-out steps beyond chance"));
+            }
+            break;
+        };
+        probabilities = weigh(&stage.finalists, thresholds);
+        for trial in &stage.finalists {
+            let name = last_name(trial);
+            if name != last_name(&chosen) && !rivals.contains(&name) {
+                refused.push(refuse(trial, &chosen, base, "explains less"));
+            }
+        }
+        for (name, left) in &stage.screened {
+            refused.push(Refused {
+                name: name.clone(),
+                reason: format!(
+                    "leaves {:.0} % of the excess in the force domain",
+                    100.0 * left.clamp(0.0, 1.0)
+                ),
+            });
+        }
+        taken = chosen;
+        ambiguous_with = rivals;
+    }
+    let left = taken.share_left(base);
+    let excess = taken.excess();
+    let verdict = if taken.names.is_empty() {
+        // Nothing in the catalogue helps; is anything left at all?
+        if excess > thresholds.excess { Verdict::OutsideCatalogue } else { Verdict::Adequate }
+    } else if left > thresholds.left && excess > thresholds.excess {
+        Verdict::OutsideCatalogue
+    } else if ambiguous_with.is_empty() {
+        Verdict::Missing
+    } else {
+        Verdict::Ambiguous
+    };
+    Decision { verdict, chosen: taken, ambiguous_with, probabilities, refused, left }
+}
+
+/// The best finalist that passes, the simpler one among equals, and those that tie with it.
+fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(Trial, Vec<String>)> {
+    let passed: Vec<&Trial> = finalists
+        .iter()
+        .filter(|trial| {
+            gain(trial, from) > thresholds.gain && excludes_zero(trial) && worth(trial, from, thresholds)
+        })
+        .collect();
+    let best = passed.first()?;
+    let equals: Vec<&&Trial> = passed.iter().filter(|trial| gain(best, trial) < thresholds.tie).collect();
+    let is_simpler = |a: &Trial, b: &Trial| contained_in(&last_name(b)).contains(&last_name(a).as_str());
+    let chosen = equals
+        .iter()
+        .find(|a| equals.iter().all(|b| !is_simpler(b, a)) && equals.iter().any(|b| is_simpler(a, b)))
+        .map_or(*best, |a| **a);
+    let rivals = equals
+        .iter()
+        .filter(|trial| last_name(trial) != last_name(chosen) && !is_simpler(chosen, trial))
+        .map(|trial| last_name(trial))
+        .collect();
+    Some((chosen.clone(), rivals))
+}
+
+/// The error falls by something an engineer would call a fall, and so does that of the response.
+fn worth(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
+    let response = match (&trial.output, &from.output) {
+        (Some(with), Some(without)) => with.mean() < without.mean(),
+        _ => true,
+    };
+    response && from.force.mean() - trial.force.mean() > 0.2 * thresholds.excess
+}
+
+/// The interval of the leading parameter of the added effect excludes zero: by 3.5 standard
+/// deviations of the coloured fit.
+fn excludes_zero(trial: &Trial) -> bool {
+    let index = trial.refit.spec.effects.len() - 1;
+    let prefix = format!("effect[{index}].");
+    let refit = &trial.refit;
+    let mut any = false;
+    for (j, number) in refit.numbers.numbers.iter().enumerate() {
+        if number.key.starts_with(&prefix) {
+            let (value, sigma) = (refit.fit.values[j], refit.sigmas[j]);
+            // A number fitted by its logarithm is away from zero when its magnitude is known.
+            any |= if number.logarithmic { sigma < 0.5 } else { value.abs() > 3.5 * sigma };
+        }
+    }
+    any
+}
+
+fn weigh(finalists: &[Trial], thresholds: Thresholds) -> Vec<(String, f64)> {
+    let Some(best) = finalists.first() else { return Vec::new() };
+    // A tie is even odds; the scale of the tie takes the place of a nat, since model error and
+    // colour make the likelihood sharper than experience bears out.
+    let weights: Vec<f64> = finalists
+        .iter()
+        .map(|trial| {
+            let extra = trial.dimension() as f64 - best.dimension() as f64;
+            (-(gain(best, trial) + 0.5 * extra) / (0.5 * thresholds.tie)).exp()
+        })
+        .collect();
+    let sum: f64 = weights.iter().sum::<f64>().max(1e-300);
+    finalists.iter().zip(weights).map(|(trial, w)| (last_name(trial), w / sum)).collect()
+}
+
+fn refuse(trial: &Trial, against: &Trial, base: &Trial, why: &str) -> Refused {
+    Refused {
+        name: last_name(trial),
+        reason: format!(
+            "{why}: leaves {:.1} % of the excess on held-out steps ({:.1} % with what was kept)",
+            100.0 * trial.share_left(base),
+            100.0 * against.share_left(base)
+        ),
+    }
+}
+
+/// The effect added last.
+pub fn last_name(trial: &Trial) -> String {
+    trial.names.last().cloned().unwrap_or_default()
+}

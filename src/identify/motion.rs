@@ -1,0 +1,466 @@
+//! The measured motion, ready for a model to be laid against it.
+//!
+//! A record of any kind becomes one thing here: displacement and velocity of the mass with little
+//! noise, and the restoring force over the mass that must have acted (`-A` of a base record,
+//! `F/M - a` of a force record, the force of a component record with unit mass). Laser and
+//! accelerometers are fused: the laser counts below, the twice integrated accelerations above the
+//! frequency where their noises are equal (a Wiener filter, zero phase).
+
+use super::kinematics::{self, Instruments, Tolerances};
+use super::spectral::{Spectrum, white_noise_rms};
+use crate::record::{Kind, Record};
+use realfft::num_complex::Complex64;
+use std::ops::Range;
+
+/// A stretch of the record in steady state (or any stretch, where there are no steps).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Window {
+    /// Sweep step, or the number of the stretch.
+    pub step: i32,
+    /// Main frequency, Hz.
+    pub frequency_hz: f64,
+    /// Samples before the window that warm up hidden states, from here to `range.start`.
+    pub warm_from: usize,
+    /// Samples that count.
+    pub range: Range<usize>,
+    /// Kept back from every fit; judges what was fitted.
+    pub held_out: bool,
+}
+
+/// The motion of one record.
+#[derive(Clone, Debug)]
+pub struct Motion {
+    /// Kind of the record.
+    pub kind: Kind,
+    /// Sampling rate, Hz.
+    pub sample_rate_hz: f64,
+    /// Time of the first sample, s.
+    pub start_s: f64,
+    /// Displacement of the mass relative to its support, m.
+    pub displacement_m: Vec<f64>,
+    /// Its rate, m/s.
+    pub velocity_m_s: Vec<f64>,
+    /// Restoring force over the mass, m/s2 (component: the force, N). Opposes positive motion.
+    pub restoring_m_s2: Vec<f64>,
+    /// What drives a simulation: the table acceleration that is equivalent to the input, m/s2.
+    pub drive_m_s2: Vec<f64>,
+    /// Displacement as the laser saw it, instruments corrected, m; empty where none was measured.
+    pub laser_m: Vec<f64>,
+    /// Steady stretches.
+    pub windows: Vec<Window>,
+    /// Noise of the restoring force over the mass, m/s2 rms a sample.
+    pub restoring_noise_m_s2: f64,
+    /// Noise of the laser, m rms a sample.
+    pub laser_noise_m: f64,
+    /// Noise of the fused displacement, m rms.
+    pub displacement_noise_m: f64,
+    /// Noise of the fused velocity, m/s rms.
+    pub velocity_noise_m_s: f64,
+    /// The instruments of a base record.
+    pub instruments: Option<Instruments>,
+}
+
+/// Why a record cannot be turned into a motion.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum MotionError {
+    /// A channel that the kind needs is missing or has another length.
+    #[error("a {kind} record needs {channel}; it is missing or of another length")]
+    MissingChannel {
+        /// Kind of the record.
+        kind: &'static str,
+        /// The channel.
+        channel: &'static str,
+    },
+    /// Too few samples.
+    #[error("{samples} samples are too few; at least {needed} are needed")]
+    TooShort {
+        /// Samples there are.
+        samples: usize,
+        /// Samples needed.
+        needed: usize,
+    },
+}
+
+const FEWEST: usize = 256;
+
+impl Motion {
+    /// Corrects, fuses and cuts a record.
+    ///
+    /// # Errors
+    /// A missing channel, or too few samples.
+    pub fn of(record: &Record, mass_kg: f64, tolerances: Tolerances) -> Result<Self, MotionError> {
+        Self::with(record, mass_kg, kinematics::examine(record, tolerances))
+    }
+
+    /// As [`Motion::of`], the instruments taken to be sound.
+    ///
+    /// # Errors
+    /// A missing channel, or too few samples.
+    pub fn uncorrected(record: &Record, mass_kg: f64) -> Result<Self, MotionError> {
+        Self::with(record, mass_kg, None)
+    }
+
+    fn with(record: &Record, mass_kg: f64, instruments: Option<Instruments>) -> Result<Self, MotionError> {
+        if record.time_s.len() < FEWEST {
+            return Err(MotionError::TooShort { samples: record.time_s.len(), needed: FEWEST });
+        }
+        let mut motion = match record.kind {
+            Kind::Base => base(record, instruments)?,
+            Kind::Force => forced(record, mass_kg)?,
+            Kind::Component => component(record)?,
+        };
+        motion.windows = cut(record, &motion);
+        motion.remove_acceleration_zeros();
+        Ok(motion)
+    }
+
+    /// Sample period, s.
+    pub fn dt_s(&self) -> f64 {
+        1.0 / self.sample_rate_hz
+    }
+
+    /// RMS of the restoring force over the mass in the windows, m/s2.
+    pub fn restoring_rms_m_s2(&self) -> f64 {
+        self.rms(&self.restoring_m_s2)
+    }
+
+    /// RMS of a channel in the windows.
+    pub fn rms(&self, channel: &[f64]) -> f64 {
+        let (mut sum, mut count) = (0.0, 0usize);
+        for window in &self.windows {
+            sum += channel[window.range.clone()].iter().map(|x| x * x).sum::<f64>();
+            count += window.range.len();
+        }
+        (sum / count.max(1) as f64).sqrt()
+    }
+
+    /// Accelerations average to the change of velocity over the duration: what a window shows
+    /// beyond that is the zero of an accelerometer, a nuisance, and is taken out. The table comes
+    /// back to where it was in a whole cycle, so its mean is zero.
+    fn remove_acceleration_zeros(&mut self) {
+        if self.kind != Kind::Base {
+            return;
+        }
+        let dt = self.dt_s();
+        let mut zeros: Vec<(usize, f64, f64)> = Vec::with_capacity(self.windows.len());
+        for window in &self.windows {
+            let r = window.range.clone();
+            let mean = |x: &[f64]| x[r.clone()].iter().sum::<f64>() / r.len() as f64;
+            let change = (self.velocity_m_s[r.end - 1] - self.velocity_m_s[r.start])
+                / ((r.len() - 1).max(1) as f64 * dt);
+            let table = mean(&self.drive_m_s2);
+            zeros.push((r.start, -mean(&self.restoring_m_s2) - change, table));
+        }
+        for (i, window) in self.windows.iter().enumerate() {
+            let (_, mass, table) = zeros[i];
+            for n in window.warm_from..window.range.end {
+                self.restoring_m_s2[n] += mass;
+                self.drive_m_s2[n] -= table;
+            }
+        }
+    }
+}
+
+fn channel<'a>(record: &Record, values: &'a [f64], channel: &'static str) -> Result<&'a [f64], MotionError> {
+    let kind = match record.kind {
+        Kind::Base => "base",
+        Kind::Force => "force",
+        Kind::Component => "component",
+    };
+    if values.len() == record.time_s.len() {
+        Ok(values)
+    } else {
+        Err(MotionError::MissingChannel { kind, channel })
+    }
+}
+
+fn base(record: &Record, found: Option<Instruments>) -> Result<Motion, MotionError> {
+    let rate = record.sample_rate_hz;
+    let table = channel(record, &record.table_acceleration_m_s2, "table_acceleration_m_s2")?;
+    let first = channel(record, &record.mass_acceleration_1_m_s2, "mass_acceleration_1_m_s2")?;
+    let second =
+        channel(record, &record.mass_acceleration_2_m_s2, "mass_acceleration_2_m_s2").unwrap_or(first);
+    let laser = channel(record, &record.relative_displacement_m, "relative_displacement_m")?;
+    let i = found.clone().unwrap_or_else(|| Instruments::assumed_sound(record));
+    let shifted = |x: &[f64], delay_s: f64| {
+        if delay_s.abs() < 1e-9 {
+            x.to_vec()
+        } else {
+            Spectrum::of(x, rate).multiply(|w| Complex64::from_polar(1.0, w * delay_s)).channel()
+        }
+    };
+    let [a1, a2] = i.accelerometers;
+    // A channel with the corners of impacts rings when it is shifted by a part of a sample: only a
+    // delay that is beyond doubt is taken out.
+    let beyond_doubt = |delay_s: f64, sigma_s: f64| {
+        if delay_s.abs() > (4.0 * sigma_s).max(0.1 / rate) { delay_s } else { 0.0 }
+    };
+    let late = beyond_doubt(
+        0.5 * (a1.delay_s.value + a2.delay_s.value),
+        0.5 * a1.delay_s.sigma.hypot(a2.delay_s.sigma),
+    );
+    let (one, two) = (shifted(first, late), shifted(second, late));
+    let mass: Vec<f64> = (0..table.len())
+        .map(|n| {
+            let one = (one[n] - a1.leak.value * table[n]) / a1.gain.value;
+            let two = (two[n] - a2.leak.value * table[n]) / a2.gain.value;
+            0.5 * (one + two)
+        })
+        .collect();
+    let mut laser = shifted(laser, beyond_doubt(i.laser_delay_s.value, i.laser_delay_s.sigma));
+    for x in &mut laser {
+        *x /= i.laser_gain.value;
+    }
+    let noise_mass = 0.5 * a1.noise_m_s2.hypot(a2.noise_m_s2);
+    let relative: Vec<f64> = mass.iter().zip(table).map(|(a, t)| a - t).collect();
+    let fused = fuse(&laser, i.laser_noise_m, &relative, noise_mass.hypot(i.table_noise_m_s2), rate);
+    Ok(Motion {
+        restoring_m_s2: mass.iter().map(|a| -a).collect(),
+        drive_m_s2: table.to_vec(),
+        laser_m: laser,
+        restoring_noise_m_s2: noise_mass,
+        laser_noise_m: i.laser_noise_m,
+        instruments: found,
+        ..fused.motion(record)
+    })
+}
+
+fn forced(record: &Record, mass_kg: f64) -> Result<Motion, MotionError> {
+    let rate = record.sample_rate_hz;
+    let force = channel(record, &record.force_n, "force_n")?;
+    let displacement = channel(record, &record.displacement_m, "displacement_m").ok();
+    let acceleration = channel(record, &record.acceleration_m_s2, "acceleration_m_s2").ok();
+    let noise = |x: &[f64]| white_noise_rms(&Spectrum::of(x, rate), 0.6, 0.95);
+    let fused = match (displacement, acceleration) {
+        (Some(d), Some(a)) => fuse(d, noise(d), a, noise(a), rate),
+        (Some(d), None) => differentiate(d, noise(d), rate),
+        (None, Some(a)) => integrate(a, noise(a), rate),
+        (None, None) => {
+            return Err(MotionError::MissingChannel {
+                kind: "force",
+                channel: "displacement_m or acceleration_m_s2",
+            });
+        }
+    };
+    let acceleration = match acceleration {
+        Some(a) => a.to_vec(),
+        None => fused.acceleration_m_s2.clone(),
+    };
+    let drive: Vec<f64> = force.iter().map(|f| -f / mass_kg).collect();
+    let noise_force = noise(force) / mass_kg;
+    let noise_acceleration = fused.acceleration_noise_m_s2;
+    Ok(Motion {
+        restoring_m_s2: acceleration.iter().zip(&drive).map(|(a, d)| -d - a).collect(),
+        drive_m_s2: drive,
+        laser_m: displacement.map(<[f64]>::to_vec).unwrap_or_default(),
+        restoring_noise_m_s2: noise_force.hypot(noise_acceleration),
+        laser_noise_m: displacement.map(noise).unwrap_or(0.0),
+        ..fused.motion(record)
+    })
+}
+
+fn component(record: &Record) -> Result<Motion, MotionError> {
+    let rate = record.sample_rate_hz;
+    let displacement = channel(record, &record.displacement_m, "displacement_m")?;
+    let force = channel(record, &record.force_n, "force_n")?;
+    let noise = |x: &[f64]| white_noise_rms(&Spectrum::of(x, rate), 0.6, 0.95);
+    let fused = differentiate(displacement, noise(displacement), rate);
+    Ok(Motion {
+        restoring_m_s2: force.to_vec(),
+        restoring_noise_m_s2: noise(force),
+        laser_noise_m: noise(displacement),
+        ..fused.motion(record)
+    })
+}
+
+/// Displacement and its derivatives with their noise.
+struct Fused {
+    displacement_m: Vec<f64>,
+    velocity_m_s: Vec<f64>,
+    acceleration_m_s2: Vec<f64>,
+    displacement_noise_m: f64,
+    velocity_noise_m_s: f64,
+    acceleration_noise_m_s2: f64,
+}
+
+impl Fused {
+    fn motion(self, record: &Record) -> Motion {
+        Motion {
+            kind: record.kind,
+            sample_rate_hz: record.sample_rate_hz,
+            start_s: record.time_s.first().copied().unwrap_or(0.0),
+            displacement_m: self.displacement_m,
+            velocity_m_s: self.velocity_m_s,
+            restoring_m_s2: Vec::new(),
+            drive_m_s2: Vec::new(),
+            laser_m: Vec::new(),
+            windows: Vec::new(),
+            restoring_noise_m_s2: 0.0,
+            laser_noise_m: 0.0,
+            displacement_noise_m: self.displacement_noise_m,
+            velocity_noise_m_s: self.velocity_noise_m_s,
+            instruments: None,
+        }
+    }
+}
+
+/// Wiener fusion: weight of the displacement `1/(1 + (w/wc)^4)`, `wc = (sa/sd)^(1/2)`.
+fn fuse(displacement: &[f64], sd: f64, acceleration: &[f64], sa: f64, rate: f64) -> Fused {
+    let crossover = (sa.max(1e-300) / sd.max(1e-300)).sqrt();
+    let low = |w: f64| 1.0 / (1.0 + (w / crossover).powi(4));
+    let mut laser = Spectrum::of(displacement, rate);
+    let inertial = Spectrum::of(acceleration, rate)
+        .multiply(|w| if w > 0.0 { Complex64::from(-(1.0 - low(w)) / (w * w)) } else { Complex64::ZERO });
+    laser = laser.multiply(|w| Complex64::from(low(w))).add(&inertial);
+    derivatives(&laser, |w| {
+        let sum = sd.powi(2) * low(w).powi(2);
+        if w > 0.0 { sum + (sa * (1.0 - low(w)) / (w * w)).powi(2) } else { sum }
+    })
+}
+
+/// Displacement alone: low-passed where its noise reaches the signal, then differentiated.
+fn differentiate(displacement: &[f64], sd: f64, rate: f64) -> Fused {
+    let spectrum = Spectrum::of(displacement, rate);
+    let cut = signal_end_rad_s(&spectrum, sd);
+    let low = move |w: f64| 1.0 / (1.0 + (w / cut).powi(8));
+    derivatives(&spectrum.multiply(|w| Complex64::from(low(w))), |w| (sd * low(w)).powi(2))
+}
+
+/// Acceleration alone: integrated above a tenth of the main frequency.
+fn integrate(acceleration: &[f64], sa: f64, rate: f64) -> Fused {
+    let spectrum = Spectrum::of(acceleration, rate);
+    let total: f64 = spectrum.bins.iter().skip(1).map(|z| z.norm_sqr()).sum();
+    let mut sum = 0.0;
+    let main = (1..spectrum.bins.len()).find(|&bin| {
+        sum += spectrum.bins[bin].norm_sqr();
+        sum > 0.01 * total
+    });
+    let low_cut = 0.3 * spectrum.omega_rad_s(main.unwrap_or(1)).max(1e-9);
+    let high = move |w: f64| {
+        let h = (w / low_cut).powi(6);
+        h / (1.0 + h)
+    };
+    let weight = move |w: f64| if w > 0.0 { -high(w) / (w * w) } else { 0.0 };
+    derivatives(&spectrum.multiply(|w| Complex64::from(weight(w))), |w| (sa * weight(w)).powi(2))
+}
+
+/// The channel, its first and second derivative, and their noise from a density a bin.
+fn derivatives(spectrum: &Spectrum, density: impl Fn(f64) -> f64) -> Fused {
+    let derivative = |order: i32| spectrum.clone().multiply(|w| Complex64::new(0.0, w).powi(order)).channel();
+    let bins = spectrum.bins.len();
+    let noise = |order: i32| {
+        let sum: f64 =
+            (0..bins).map(|b| spectrum.omega_rad_s(b)).map(|w| density(w) * w.powi(2 * order)).sum();
+        (sum / bins as f64).sqrt()
+    };
+    Fused {
+        displacement_m: spectrum.clone().channel(),
+        velocity_m_s: derivative(1),
+        acceleration_m_s2: derivative(2),
+        displacement_noise_m: noise(0),
+        velocity_noise_m_s: noise(1),
+        acceleration_noise_m_s2: noise(2),
+    }
+}
+
+/// Highest angular frequency at which the smoothed spectrum stands above the noise.
+fn signal_end_rad_s(spectrum: &Spectrum, noise: f64) -> f64 {
+    let floor = 4.0 * spectrum.bins.len() as f64 * 2.0 * noise * noise;
+    let width = (spectrum.bins.len() / 400).max(4);
+    let mut end = width;
+    for (i, chunk) in spectrum.bins.chunks(width).enumerate() {
+        let mean = chunk.iter().map(|z| z.norm_sqr()).sum::<f64>() / chunk.len() as f64;
+        if mean > floor {
+            end = (i + 1) * width;
+        }
+    }
+    spectrum.omega_rad_s(end.min(spectrum.bins.len() - 1)).max(spectrum.omega_rad_s(1))
+}
+
+/// Steady stretches: the later part of each step in whole cycles, or the record in equal parts.
+fn cut(record: &Record, motion: &Motion) -> Vec<Window> {
+    let n = motion.displacement_m.len();
+    let mut windows = Vec::new();
+    if record.step.len() == n {
+        let mut start = 0;
+        while start < n {
+            let step = record.step[start];
+            let mut end = start + 1;
+            while end < n && record.step[end] == step {
+                end += 1;
+            }
+            if step >= 0
+                && let Some(window) = steady(step, start..end, motion)
+            {
+                windows.push(window);
+            }
+            start = end;
+        }
+    }
+    if windows.is_empty() {
+        windows = equal_parts(n, motion);
+    }
+    // Every third stretch judges; the first and last serve the fit, so that it need not extrapolate.
+    let last = windows.len().saturating_sub(1);
+    for (i, window) in windows.iter_mut().enumerate() {
+        window.held_out = i % 3 == 1 && i != last;
+    }
+    windows
+}
+
+/// The last four whole cycles of a step (half of it when shorter), warmed up by three before.
+fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
+    let rate = motion.sample_rate_hz;
+    let input = if motion.drive_m_s2.is_empty() { &motion.displacement_m } else { &motion.drive_m_s2 };
+    let frequency_hz = main_frequency_hz(&input[range.clone()], rate)?;
+    let cycle = rate / frequency_hz;
+    let cycles = (range.len() as f64 / cycle).floor();
+    let counted = if cycles >= 7.0 { 4.0 } else { (cycles / 2.0).floor() };
+    if counted < 1.0 {
+        return None;
+    }
+    let start = range.end - (counted * cycle).round() as usize;
+    let warm_from = start.saturating_sub((3.0 * cycle).round() as usize).max(range.start);
+    Some(Window { step, frequency_hz, warm_from, range: start..range.end, held_out: false })
+}
+
+/// Thirty equal parts inside a record without steps, each warmed up by the one before.
+fn equal_parts(n: usize, motion: &Motion) -> Vec<Window> {
+    let parts = (n / 64).clamp(1, 30);
+    let length = n / parts;
+    let input = if motion.drive_m_s2.is_empty() { &motion.displacement_m } else { &motion.drive_m_s2 };
+    let frequency_hz = main_frequency_hz(input, motion.sample_rate_hz).unwrap_or(1.0);
+    (usize::from(parts > 4)..parts)
+        .map(|i| Window {
+            step: i as i32,
+            frequency_hz,
+            warm_from: (i * length).saturating_sub(2 * length),
+            range: i * length..(i + 1) * length,
+            held_out: false,
+        })
+        .collect()
+}
+
+/// Frequency from upward crossings of the mean with a hysteresis of half the RMS; `None` with
+/// fewer than two.
+pub fn main_frequency_hz(channel: &[f64], rate: f64) -> Option<f64> {
+    let mean = channel.iter().sum::<f64>() / channel.len().max(1) as f64;
+    let rms = (channel.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / channel.len().max(1) as f64).sqrt();
+    let mut low = false;
+    let mut crossings: Vec<f64> = Vec::new();
+    let mut below = 0;
+    for (i, x) in channel.iter().enumerate() {
+        let x = x - mean;
+        if x < 0.0 {
+            below = i;
+        }
+        if x < -0.5 * rms {
+            low = true;
+        } else if low && x > 0.5 * rms {
+            low = false;
+            crossings.push(below as f64);
+        }
+    }
+    let (first, last) = (crossings.first()?, crossings.last()?);
+    (crossings.len() > 1).then(|| (crossings.len() - 1) as f64 * rate / (last - first))
+}

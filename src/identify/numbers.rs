@@ -1,0 +1,144 @@
+//! Which numbers of a model a fit may move, how far, and how they are put back.
+
+use super::least_squares::Free;
+use crate::model::effects::{self, Parameter, Sign};
+use crate::model::{ModelSpec, Scales};
+
+/// Share of a 95 % half-width that is one standard deviation.
+const SIGMA: f64 = 1.0 / 1.96;
+
+/// A number that is fitted over magnitudes is `exp` of what the fit moves.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Number {
+    /// Key in the model file.
+    pub key: String,
+    /// The fit moves the logarithm.
+    pub logarithmic: bool,
+}
+
+/// The numbers of a model that a fit moves, and the fit's view of them.
+#[derive(Clone, Debug, Default)]
+pub struct Numbers {
+    /// Keys and scales.
+    pub numbers: Vec<Number>,
+    /// The same for the fit.
+    pub free: Vec<Free>,
+}
+
+impl Numbers {
+    /// The base model's numbers but the mass (only F/M is fixed by a base record), each within
+    /// what the model file says of it, or the defaults: slopes 10 %, knees 6 %, damping 10 %,
+    /// bumper stiffness 10 % and damping 12 %, gap 2 % (95 % half-widths).
+    pub fn of_base(nominal: &ModelSpec) -> Self {
+        let mut out = Self::default();
+        let u = nominal.uncertainty.clone().unwrap_or_default();
+        let isolator = u.isolator.unwrap_or_default();
+        let slope = |i: usize| isolator.stiffness_n_m.get(i).or(isolator.stiffness_n_m.last()).copied();
+        let unloaded = nominal.isolator.stiffness_n_m.iter().all(|k| *k == 0.0);
+        for (i, k) in nominal.isolator.stiffness_n_m.iter().enumerate() {
+            // A slope of zero is a statement (a friction device has no spring), not a guess.
+            if *k != 0.0 {
+                out.relative(&format!("isolator.stiffness_n_m[{i}]"), *k, slope(i).unwrap_or(0.10));
+            }
+        }
+        for (i, x) in nominal.isolator.breakpoints_m.iter().enumerate() {
+            let width = isolator.breakpoints_m.get(i).copied().unwrap_or(0.06);
+            out.relative(&format!("isolator.breakpoints_m[{i}]"), *x, width);
+        }
+        let c = nominal.isolator.damping_n_s_m;
+        if c != 0.0 && !unloaded {
+            out.relative("isolator.damping_n_s_m", c, isolator.damping_n_s_m.unwrap_or(0.10));
+        }
+        if let Some(bumper) = &nominal.bumper {
+            let u = u.bumper.unwrap_or_default();
+            out.relative("bumper.stiffness_n_m", bumper.stiffness_n_m, u.stiffness_n_m.unwrap_or(0.10));
+            if bumper.damping_n_s_m != 0.0 {
+                out.relative("bumper.damping_n_s_m", bumper.damping_n_s_m, u.damping_n_s_m.unwrap_or(0.12));
+            }
+            out.relative("bumper.total_gap_m", bumper.total_gap_m, u.total_gap_m.unwrap_or(0.02));
+        }
+        out
+    }
+
+    fn relative(&mut self, key: &str, value: f64, half_width: f64) {
+        let scale = value.abs() * half_width.max(1e-6) * SIGMA;
+        // Three half-widths are far outside what the file allows; the prior pulls long before.
+        let reach = (6.0 * half_width).min(0.95) * value.abs();
+        self.numbers.push(Number { key: key.to_owned(), logarithmic: false });
+        self.free.push(Free {
+            key: key.to_owned(),
+            start: value,
+            scale,
+            prior: (value, scale),
+            bounds: (value - reach, value + reach),
+        });
+    }
+
+    /// Makes the base numbers start from a fitted model, their priors kept.
+    pub fn start_from(&mut self, spec: &ModelSpec) {
+        for (number, free) in self.numbers.iter().zip(&mut self.free) {
+            if let Ok(value) = spec.get(&number.key) {
+                free.start = if number.logarithmic { value.abs().max(1e-300).ln() } else { value };
+            }
+        }
+    }
+
+    /// Adds the parameters of an effect that is already in the model at `index`.
+    pub fn add_effect(&mut self, spec: &ModelSpec, index: usize, scales: &Scales) {
+        let Some(given) = spec.effects.get(index) else { return };
+        let Ok(effect) = effects::find(&given.name) else { return };
+        for parameter in (effect.parameters)(scales) {
+            if let Some(start) = given.parameters.get(parameter.name) {
+                self.add_parameter(&format!("effect[{index}].{}", parameter.name), &parameter, *start);
+            }
+        }
+    }
+
+    fn add_parameter(&mut self, key: &str, parameter: &Parameter, start: f64) {
+        let (low, high) = parameter.prior;
+        let logarithmic = parameter.log_scale && parameter.sign == Sign::Positive && start > 0.0 && low > 0.0;
+        let free = if logarithmic {
+            let (l, h) = (low.ln(), high.ln());
+            Free {
+                key: key.to_owned(),
+                start: start.ln(),
+                scale: 0.1,
+                // The range is where 95 % are sought.
+                prior: (0.5 * (l + h), (h - l) * 0.5 * SIGMA),
+                // A factor of three beyond: farther out a model only gets stiff, not better.
+                bounds: (l - 1.1, (h + 1.1).min(parameter.at_most.ln())),
+            }
+        } else {
+            let centre = if parameter.sign == Sign::Either { 0.0 } else { 0.5 * (low + high) };
+            let half = 0.5 * (high - low);
+            let bottom = if parameter.sign == Sign::Either { -3.0 * high.abs() } else { 0.0 };
+            let tiny = if parameter.sign == Sign::Positive { 1e-6 * high.abs() } else { bottom };
+            Free {
+                key: key.to_owned(),
+                start,
+                scale: (0.1 * start.abs()).max(1e-3 * high.abs()),
+                prior: (centre, half.max(1e-300) * if parameter.sign == Sign::Either { SIGMA } else { 2.0 }),
+                bounds: (bottom.max(tiny), (3.0 * high.abs()).min(parameter.at_most)),
+            }
+        };
+        self.numbers.push(Number { key: key.to_owned(), logarithmic });
+        self.free.push(free);
+    }
+
+    /// Puts the fit's values into a model. False when a key is not there.
+    pub fn put(&self, values: &[f64], spec: &mut ModelSpec) -> bool {
+        self.numbers.iter().zip(values).all(|(number, value)| {
+            spec.set(&number.key, if number.logarithmic { value.exp() } else { *value }).is_ok()
+        })
+    }
+
+    /// Value and 95 % interval of a number from the fit's value and standard deviation.
+    pub fn interval(&self, index: usize, value: f64, sigma: f64) -> (f64, f64, f64) {
+        let half = sigma / SIGMA;
+        if self.numbers[index].logarithmic {
+            (value.exp(), (value - half).exp(), (value + half).exp())
+        } else {
+            (value, value - half, value + half)
+        }
+    }
+}

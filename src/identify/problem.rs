@@ -1,0 +1,356 @@
+//! A model laid against a motion: residuals in the force domain (the measured motion imposed on
+//! the model) and in the output domain (the model simulated from the measured state).
+//!
+//! The force domain has no memory of the model's own errors, needs no simulation and starts every
+//! fit; the output domain decides. Residuals are in units of their noise, so that a sum of squares
+//! over the count is 1 when nothing is left.
+
+use super::motion::{Motion, Window};
+use crate::model::{self, ModelSpec, Specimen};
+use crate::record::Kind;
+
+/// Which windows a residual is formed over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// Those that a fit may see.
+    Training,
+    /// The last cycles of some of those, for fits of the simulated response.
+    Brief,
+    /// Those that judge it.
+    HeldOut,
+    /// All.
+    All,
+}
+
+impl Part {
+    /// Whether a window belongs to the part.
+    pub fn takes(self, window: &Window) -> bool {
+        match self {
+            Self::Training | Self::Brief => !window.held_out,
+            Self::HeldOut => window.held_out,
+            Self::All => true,
+        }
+    }
+}
+
+/// A motion thinned for fitting, with the weight of each sample.
+pub struct Problem<'a> {
+    /// The motion.
+    pub motion: &'a Motion,
+    /// Every so many samples one counts in the force domain.
+    pub thin: usize,
+    /// One over the noise of the restoring force at each thinned sample, by window; zero where the
+    /// force is not defined (rest, where friction may have any value).
+    weights: Vec<Vec<f64>>,
+    /// Change of the restoring force over the mass with the displacement, 1/s2, as the weights.
+    slopes: Vec<Vec<f64>>,
+    /// Drift of the displacement sensor from window to window, m rms.
+    drift_m: f64,
+    /// Stretches that are simulated in fits: the last cycles of some of the training windows.
+    brief: Vec<Window>,
+}
+
+/// Slow noise of a displacement sensor over the motion it measures: 10 um for the paper's rig.
+const DRIFT: f64 = 1e-3;
+/// Cycles that a simulation runs free before it counts: the error of its start decays.
+const SETTLING_CYCLES: usize = 3;
+/// Cycles of a window that count in fits of the simulated response.
+const BRIEF_CYCLES: f64 = 2.0;
+/// Simulated steps that a fit may take at each evaluation.
+const BRIEF_STEPS: usize = 80_000;
+
+/// Noise-weighted errors of a simulated response.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct OutputError {
+    /// Sum of squared errors of A, (m/s2)^2.
+    pub sum_a: f64,
+    /// Sum of squares of the measured A, (m/s2)^2.
+    pub power_a: f64,
+    /// Sum of squared errors of D, m^2.
+    pub sum_d: f64,
+    /// Sum of squares of the measured D about its mean, m^2.
+    pub power_d: f64,
+    /// Samples.
+    pub count: usize,
+}
+
+impl OutputError {
+    /// Normalised RMS error of A.
+    pub fn nrmse_a(&self) -> f64 {
+        (self.sum_a / self.power_a.max(1e-300)).sqrt()
+    }
+
+    /// Normalised RMS error of D.
+    pub fn nrmse_d(&self) -> f64 {
+        (self.sum_d / self.power_d.max(1e-300)).sqrt()
+    }
+}
+
+impl<'a> Problem<'a> {
+    /// Chooses the thinning and weighs the samples for the given model.
+    pub fn new(motion: &'a Motion, spec: &ModelSpec, most_samples: usize) -> Self {
+        let total: usize = motion.windows.iter().map(|w| w.range.end - w.warm_from).sum();
+        let highest = motion.windows.iter().map(|w| w.frequency_hz).fold(0.0, f64::max).max(1e-12);
+        // At least 100 samples a cycle of the fastest step, so that a contact is not skipped.
+        let coarsest = ((motion.sample_rate_hz / (100.0 * highest)) as usize).max(1);
+        let thin = total.div_ceil(most_samples.max(1)).clamp(1, coarsest);
+        let drift_m = DRIFT * motion.rms(&motion.displacement_m);
+        let mut problem =
+            Self { motion, thin, weights: Vec::new(), slopes: Vec::new(), drift_m, brief: brief(motion) };
+        problem.weigh(spec);
+        problem
+    }
+
+    fn weigh(&mut self, spec: &ModelSpec) {
+        let motion = self.motion;
+        let shift = self.shift_m();
+        let centre = self.restoring(spec, 0.0);
+        let aside = self.restoring(spec, 3.0 * shift);
+        let slow = 3.0 * motion.velocity_noise_m_s;
+        self.slopes.clear();
+        self.weights.clear();
+        for (k, window) in motion.windows.iter().enumerate() {
+            let slopes: Vec<f64> = match (&centre, &aside) {
+                (Some(a), Some(b)) => {
+                    a[k].iter().zip(&b[k]).map(|(a, b)| (b - a) / (3.0 * shift).max(1e-300)).collect()
+                }
+                _ => self.samples(window).map(|_| 0.0).collect(),
+            };
+            let weight = |(n, slope): (usize, &f64)| {
+                if motion.velocity_m_s[n].abs() < slow {
+                    return 0.0;
+                }
+                let sigma = motion.restoring_noise_m_s2.hypot(slope * shift);
+                if sigma > 0.0 && sigma.is_finite() { 1.0 / sigma } else { 0.0 }
+            };
+            self.weights.push(self.samples(window).zip(&slopes).map(weight).collect());
+            self.slopes.push(slopes);
+        }
+    }
+
+    fn samples(&self, window: &Window) -> impl Iterator<Item = usize> + use<> {
+        window.range.clone().step_by(self.thin)
+    }
+
+    /// Restoring force over the mass of the model along the measured motion, by window, the
+    /// displacement shifted by `shift_m`; `None` when the model cannot be built.
+    pub fn restoring(&self, spec: &ModelSpec, shift_m: f64) -> Option<Vec<Vec<f64>>> {
+        let motion = self.motion;
+        let mut specimen = model::build(spec, motion.dt_s() * self.thin as f64).ok()?;
+        let mut out = Vec::with_capacity(motion.windows.len());
+        let mut at = usize::MAX;
+        for window in &motion.windows {
+            // Neighbouring windows continue where the last one ended; others are warmed up.
+            let from = if at == window.range.start { at } else { self.warm(&mut *specimen, window, shift_m) };
+            let mut forces = Vec::with_capacity(window.range.len() / self.thin + 1);
+            let mut n = from;
+            while n < window.range.end {
+                let response = specimen.impose(motion.displacement_m[n] + shift_m, motion.velocity_m_s[n]);
+                forces.push(-response.mass_acceleration_m_s2);
+                n += self.thin;
+            }
+            at = n;
+            out.push(forces);
+        }
+        Some(out)
+    }
+
+    /// Imposes the motion before a window; returns its first sample.
+    fn warm(&self, specimen: &mut dyn Specimen, window: &Window, shift_m: f64) -> usize {
+        let motion = self.motion;
+        let steps = (window.range.start - window.warm_from) / self.thin;
+        let first = window.range.start - steps * self.thin;
+        specimen.reset();
+        specimen.set_time_s(motion.start_s + first as f64 * motion.dt_s());
+        for i in 0..steps {
+            let n = first + i * self.thin;
+            specimen.impose(motion.displacement_m[n] + shift_m, motion.velocity_m_s[n]);
+        }
+        window.range.start
+    }
+
+    /// Measured minus modelled restoring force in units of its noise, over the windows of a part.
+    /// Returns false when the model cannot be built.
+    pub fn force_residuals(&self, spec: &ModelSpec, shift_m: f64, part: Part, out: &mut Vec<f64>) -> bool {
+        out.clear();
+        let Some(modelled) = self.restoring(spec, shift_m) else { return false };
+        for (k, window) in self.motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w)) {
+            let begin = out.len();
+            for (i, n) in self.samples(window).enumerate() {
+                let weight = self.weights[k][i];
+                out.push(weight * (self.motion.restoring_m_s2[n] - modelled[k][i]));
+            }
+            self.take_out_drift(k, &mut out[begin..]);
+        }
+        true
+    }
+
+    /// Takes the drift of the displacement sensor in one window out of its residuals: one number
+    /// within its prior, that follows from the slope of the force.
+    fn take_out_drift(&self, k: usize, residuals: &mut [f64]) {
+        let steer = |i: usize| self.weights[k][i] * self.slopes[k][i];
+        let mut power = self.drift_m.max(1e-300).powi(-2);
+        let mut product = 0.0;
+        for (i, r) in residuals.iter().enumerate() {
+            let s = steer(i);
+            power += s * s;
+            product += s * r;
+        }
+        let drift = product / power;
+        for (i, r) in residuals.iter_mut().enumerate() {
+            *r -= drift * steer(i);
+        }
+    }
+
+    /// Share of the mean square of a part's force residuals that the noise of the displacement puts
+    /// there through the slope of the force: it is correlated from sample to sample and no structure.
+    pub fn carried_noise(&self, part: Part) -> f64 {
+        let shift = self.shift_m();
+        let (mut sum, mut count) = (0.0, 0usize);
+        for (k, _) in self.motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w)) {
+            for (weight, slope) in self.weights[k].iter().zip(&self.slopes[k]) {
+                sum += (weight * slope * shift).powi(2);
+                count += usize::from(*weight > 0.0);
+            }
+        }
+        sum / count.max(1) as f64
+    }
+
+    /// Noise of the displacement that the force answers to, m rms.
+    fn shift_m(&self) -> f64 {
+        self.motion.displacement_noise_m.max(1e-3 * self.motion.laser_noise_m)
+    }
+
+    /// Number of samples of a part that carry weight.
+    pub fn weighted_count(&self, part: Part) -> usize {
+        let windows = self.motion.windows.iter().zip(&self.weights).filter(|(w, _)| part.takes(w));
+        windows.map(|(_, weights)| weights.iter().filter(|w| **w > 0.0).count()).sum()
+    }
+
+    /// Simulates a window from the measured state and hands every counted sample to `each` as
+    /// (sample, simulated A, simulated D as the laser would see it). Hidden states are warmed up along the measured motion;
+    /// the first cycles of the simulation are left to settle where there is room.
+    pub fn simulate(
+        &self,
+        specimen: &mut dyn Specimen,
+        window: &Window,
+        shift_m: f64,
+        mut each: impl FnMut(usize, f64, f64),
+    ) {
+        let motion = self.motion;
+        let cycle = (motion.sample_rate_hz / window.frequency_hz.max(1e-9)) as usize;
+        let free_from =
+            window.range.start.saturating_sub(cycle).max(window.warm_from + 1).min(window.range.start);
+        specimen.reset();
+        specimen.set_time_s(motion.start_s + window.warm_from as f64 * motion.dt_s());
+        for n in window.warm_from..free_from {
+            specimen.impose(motion.displacement_m[n] + shift_m, motion.velocity_m_s[n]);
+        }
+        // The input at the start of the first free step.
+        if free_from > 0 {
+            specimen.prime(motion.drive_m_s2[free_from - 1]);
+        }
+        for n in free_from..window.range.end {
+            let response = specimen.step(motion.drive_m_s2[n]);
+            if n >= window.range.start {
+                each(n, response.mass_acceleration_m_s2, response.relative_displacement_m - shift_m);
+            }
+        }
+    }
+
+    /// Measured minus simulated A, then D, window by window, each in units of its noise, every `stride`th sample of
+    /// the windows of a part. Means over a window do not count for A. Returns false when the model
+    /// cannot be built or the simulation does not stay finite.
+    pub fn output_residuals(
+        &self,
+        spec: &ModelSpec,
+        shift_m: f64,
+        part: Part,
+        stride: usize,
+        out: &mut Vec<f64>,
+    ) -> bool {
+        out.clear();
+        let motion = self.motion;
+        if motion.kind == Kind::Component {
+            return self.force_residuals(spec, shift_m, part, out);
+        }
+        let Ok(mut specimen) = model::build(spec, motion.dt_s()) else { return false };
+        let (sa, sd) = (motion.restoring_noise_m_s2.max(1e-300), motion.laser_noise_m.max(1e-300));
+        let mut laser = Vec::new();
+        let full = motion.windows.iter().filter(|w| part.takes(w) && part != Part::Brief);
+        let brief = self.brief.iter().filter(|_| part == Part::Brief);
+        for window in full.chain(brief) {
+            let begin = out.len();
+            laser.clear();
+            self.simulate(&mut *specimen, window, shift_m, |n, a, d| {
+                if (n - window.range.start) % stride == 0 {
+                    out.push((-motion.restoring_m_s2[n] - a) / sa);
+                    if !motion.laser_m.is_empty() {
+                        laser.push((motion.laser_m[n] - d) / sd);
+                    }
+                }
+            });
+            // The drift of the laser in this window, within its prior, which counts as a residual.
+            if !laser.is_empty() {
+                let n = laser.len() as f64;
+                let mean = laser.iter().sum::<f64>() / n;
+                let prior = (sd / self.drift_m.max(1e-300)).powi(2);
+                let drift = mean * n / (n + prior);
+                laser.iter_mut().for_each(|r| *r -= drift);
+                out.append(&mut laser);
+                out.push(drift * sd / self.drift_m.max(1e-300));
+            }
+            if out[begin..].iter().any(|x| !x.is_finite()) {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// Errors of the simulated response over the windows of a part; `None` when the model cannot
+    /// be built or leaves the finite numbers. For a component record A is the force.
+    pub fn output_error(&self, spec: &ModelSpec, shift_m: f64, part: Part) -> Option<OutputError> {
+        let motion = self.motion;
+        let mut error = OutputError::default();
+        if motion.kind == Kind::Component {
+            let modelled = self.restoring(spec, shift_m)?;
+            for (k, window) in motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w)) {
+                for (i, n) in self.samples(window).enumerate() {
+                    error.sum_a += (motion.restoring_m_s2[n] - modelled[k][i]).powi(2);
+                    error.power_a += motion.restoring_m_s2[n].powi(2);
+                    error.count += 1;
+                }
+            }
+            return Some(error);
+        }
+        let mut specimen = model::build(spec, motion.dt_s()).ok()?;
+        for window in motion.windows.iter().filter(|w| part.takes(w)) {
+            let laser = motion.laser_m.get(window.range.clone()).unwrap_or(&[]);
+            let mean = laser.iter().sum::<f64>() / laser.len().max(1) as f64;
+            self.simulate(&mut *specimen, window, shift_m, |n, a, d| {
+                error.sum_a += (-motion.restoring_m_s2[n] - a).powi(2);
+                error.power_a += motion.restoring_m_s2[n].powi(2);
+                if let Some(measured) = motion.laser_m.get(n) {
+                    error.sum_d += (measured - d).powi(2);
+                    error.power_d += (measured - mean).powi(2);
+                }
+                error.count += 1;
+            });
+        }
+        (error.sum_a.is_finite() && error.sum_d.is_finite()).then_some(error)
+    }
+}
+
+/// The last cycles of every so many training windows.
+fn brief(motion: &Motion) -> Vec<Window> {
+    let mut windows: Vec<Window> = motion.windows.iter().filter(|w| !w.held_out).cloned().collect();
+    let mut steps = 0;
+    for window in &mut windows {
+        let cycle = motion.sample_rate_hz / window.frequency_hz.max(1e-9);
+        let counted = ((BRIEF_CYCLES * cycle) as usize).clamp(1, window.range.len());
+        window.range.start = window.range.end - counted;
+        steps += counted + SETTLING_CYCLES * cycle as usize;
+    }
+    let every = steps.div_ceil(BRIEF_STEPS).max(1);
+    windows.into_iter().step_by(every).collect()
+}

@@ -1,0 +1,153 @@
+//! Re-fitting a model to a motion: force domain first, then the simulated response.
+
+use super::least_squares::{self, Fit, Free, Settings};
+use super::numbers::Numbers;
+use super::problem::{Part, Problem};
+use crate::model::ModelSpec;
+
+/// A model fitted to a motion.
+#[derive(Clone, Debug)]
+pub struct Refit {
+    /// The fitted model.
+    pub spec: ModelSpec,
+    /// What was moved.
+    pub numbers: Numbers,
+    /// Zero of the displacement sensor, m: true displacement = measured + zero.
+    pub zero_m: f64,
+    /// The fit; the last value is the zero.
+    pub fit: Fit,
+    /// How many residuals count as one independent one (coloured residuals).
+    pub inflation: f64,
+    /// Standard deviations of the values, coloured residuals considered.
+    pub sigmas: Vec<f64>,
+}
+
+impl Refit {
+    /// Value and 95 % interval of a key.
+    pub fn interval(&self, key: &str) -> Option<(f64, f64, f64)> {
+        let index = self.numbers.numbers.iter().position(|n| n.key == key)?;
+        Some(self.numbers.interval(index, self.fit.values[index], self.sigmas[index]))
+    }
+
+    /// Correlation coefficients of the fitted values, in their order.
+    pub fn correlations(&self, free: &[Free]) -> nalgebra::DMatrix<f64> {
+        let c = self.fit.covariance(free, self.inflation);
+        nalgebra::DMatrix::from_fn(c.nrows(), c.ncols(), |i, j| {
+            c[(i, j)] / (c[(i, i)] * c[(j, j)]).max(1e-300).sqrt()
+        })
+    }
+}
+
+/// What a re-fit compares.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Domain {
+    /// Restoring force along the measured motion.
+    Force,
+    /// Simulated A and D, every so many samples.
+    Output {
+        /// Every so many samples.
+        stride: usize,
+    },
+}
+
+/// Standard deviation of the displacement sensor's zero for motions of the given RMS: 20 um for
+/// the paper's rig, in proportion elsewhere.
+fn zero_sigma_m(problem: &Problem<'_>) -> f64 {
+    1.5e-3 * problem.motion.rms(&problem.motion.displacement_m)
+}
+
+/// Fits the numbers of `start` over the windows of a part.
+///
+/// `None` when the model cannot be evaluated at its start.
+pub fn refit(
+    problem: &Problem<'_>,
+    start: &ModelSpec,
+    numbers: &Numbers,
+    zero_m: f64,
+    domain: Domain,
+    part: Part,
+    settings: Settings,
+) -> Option<Refit> {
+    let free = with_zero(numbers, zero_m, zero_sigma_m(problem));
+    let mut spec = start.clone();
+    let mut evaluate = |x: &[f64], r: &mut Vec<f64>| {
+        let zero = x[x.len() - 1];
+        numbers.put(x, &mut spec)
+            && match domain {
+                Domain::Force => problem.force_residuals(&spec, zero, part, r),
+                Domain::Output { stride } => problem.output_residuals(&spec, zero, part, stride, r),
+            }
+    };
+    let fit = least_squares::fit(&free, settings, &mut evaluate)?;
+    let mut residuals = Vec::new();
+    evaluate(&fit.values, &mut residuals);
+    let inflation = inflation(&residuals);
+    let covariance = fit.covariance(&free, inflation);
+    let sigmas = (0..free.len()).map(|j| covariance[(j, j)].max(0.0).sqrt()).collect();
+    let mut spec = start.clone();
+    numbers.put(&fit.values, &mut spec);
+    let zero_m = fit.values.last().copied().unwrap_or(0.0);
+    Some(Refit { spec, numbers: numbers.clone(), zero_m, fit, inflation, sigmas })
+}
+
+/// The fit's numbers with the zero of the displacement sensor as the last.
+pub fn with_zero(numbers: &Numbers, zero_m: f64, sigma_m: f64) -> Vec<Free> {
+    let mut free = numbers.free.clone();
+    free.push(Free {
+        key: "displacement zero".into(),
+        start: zero_m,
+        scale: sigma_m.max(1e-300),
+        prior: (0.0, sigma_m.max(1e-300)),
+        bounds: (-20.0 * sigma_m, 20.0 * sigma_m),
+    });
+    free
+}
+
+/// Residuals that are coloured or larger than their noise carry less: the mean square times the
+/// sum of the autocorrelation up to its first zero (Bartlett 1946), at least 1.
+pub fn inflation(residuals: &[f64]) -> f64 {
+    let n = residuals.len();
+    let power = least_squares::sum_of_squares(residuals) / n.max(1) as f64;
+    if n < 16 || power <= 0.0 {
+        return 1.0;
+    }
+    let mut sum = 1.0;
+    let mut lag = 1;
+    // Lags grow by a quarter, each standing for those it skips.
+    while lag < n / 8 {
+        let rho = least_squares::dot(&residuals[..n - lag], &residuals[lag..]) / (n as f64 * power);
+        if rho < 2.0 / (n as f64).sqrt() {
+            break;
+        }
+        let next = (lag + 1).max(lag * 5 / 4);
+        sum += 2.0 * rho * (next - lag) as f64;
+        lag = next;
+    }
+    (power * sum).max(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{SeedableRng, prelude::Distribution};
+
+    #[test]
+    fn coloured_residuals_count_less() {
+        let mut random = rand_pcg::Pcg64::seed_from_u64(5);
+        let normal = rand_distr::Normal::new(0.0, 1.0).expect("valid");
+        let white: Vec<f64> = (0..50_000).map(|_| normal.sample(&mut random)).collect();
+        assert!((inflation(&white) - 1.0).abs() < 0.1, "{}", inflation(&white));
+        // First-order autoregression with rho = 0.9: variance 1/(1 - 0.81), times 1.9/0.1.
+        let mut last = 0.0;
+        let coloured: Vec<f64> = white
+            .iter()
+            .map(|w| {
+                last = 0.9 * last + w;
+                last
+            })
+            .collect();
+        let expected = 1.0 / 0.19 * 19.0;
+        let found = inflation(&coloured);
+        assert!((found / expected - 1.0).abs() < 0.3, "{found} {expected}");
+    }
+}
