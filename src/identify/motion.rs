@@ -378,6 +378,9 @@ fn signal_end_rad_s(spectrum: &Spectrum, noise: f64) -> f64 {
 }
 
 /// Steady stretches: the later part of each step in whole cycles, or the record in equal parts.
+/// Steady steps below which a record is cut into equal parts.
+const FEWEST_STEPS: usize = 4;
+
 fn cut(record: &Record, motion: &Motion) -> Vec<Window> {
     let n = motion.displacement_m.len();
     let mut windows = Vec::new();
@@ -397,7 +400,8 @@ fn cut(record: &Record, motion: &Motion) -> Vec<Window> {
             start = end;
         }
     }
-    if windows.is_empty() {
+    // A few long stretches leave none to judge by: they are cut into parts instead.
+    if windows.len() < FEWEST_STEPS {
         windows = equal_parts(n, motion);
     }
     // Every third stretch judges; the first and last serve the fit, so that it need not extrapolate.
