@@ -1,5 +1,8 @@
 //! `shaketable runs`: lists the run folders there are, shows one, or checks its hash chain.
 
+#[cfg(feature = "parquet")]
+mod query;
+
 use super::{CliError, Outcome};
 use crate::record::folder::list;
 use crate::record::verify::{Verdict, verify};
@@ -28,6 +31,9 @@ enum What {
         /// Run folder.
         run: PathBuf,
     },
+    /// Ask a tree of exported runs for steps or peaks.
+    #[cfg(feature = "parquet")]
+    Query(query::Args),
 }
 
 /// Runs the subcommand.
@@ -38,6 +44,8 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     match &args.what {
         None | Some(What::List) => list_runs(&args),
         Some(What::Verify { run }) => verify_run(run, args.json),
+        #[cfg(feature = "parquet")]
+        Some(What::Query(query)) => query::execute(query, args.json),
     }
 }
 

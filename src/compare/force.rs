@@ -41,6 +41,8 @@ pub struct ResidualForce {
     pub cells: Cells,
     /// By window.
     pub windows: Vec<ForceWindow>,
+    /// Along the counted samples of each window, N.
+    pub residual_n: Vec<Vec<f32>>,
     /// Over (D, D').
     pub map: ForceMap,
 }
@@ -69,6 +71,7 @@ pub fn residual(
     let mut cells = Cells::default();
     let mut points = Vec::new();
     let mut out = Vec::with_capacity(windows.len());
+    let mut along = Vec::with_capacity(windows.len());
     for window in windows {
         let cycle = window.frequency_hz.map_or(measured.cycle, |_| window.cycle_samples(rate));
         let first = points.len();
@@ -98,6 +101,7 @@ pub fn residual(
             rows.iter().map(raw).sum::<f64>() / rows.len().max(1) as f64
         };
         let smooth = smoothed(&rows.iter().map(|row| raw(row) - zero).collect::<Vec<_>>(), cycle / 50);
+        along.push(smooth.iter().map(|r| *r as f32).collect());
         for ((i, v, response, force), r) in rows.iter().zip(smooth) {
             let outward = measured.d[*i] * v > 0.0;
             let cell = cells.of(response.regime, outward);
@@ -110,7 +114,7 @@ pub fn residual(
         let count = (points.len() - first).max(1) as f64;
         out.push(ForceWindow { residual_rms_n: (sum / count).sqrt() });
     }
-    Ok(Some(ResidualForce { cells, windows: out, map: map(&points) }))
+    Ok(Some(ResidualForce { cells, windows: out, residual_n: along, map: map(&points) }))
 }
 
 /// Measured restoring force, N: -M A of the mass, less what is applied.

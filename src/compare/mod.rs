@@ -7,6 +7,7 @@
 //! NRMSE is the RMS of the residual over the RMS of the measurement, both over the counted samples:
 //! the last whole cycles of each step, or a whole record that has no steps.
 
+mod account;
 mod band;
 mod force;
 mod harmonics;
@@ -33,8 +34,7 @@ use band::Band;
 use force::ResidualForce;
 use response::Measured;
 use serde::Serialize;
-use slices::{Cells, Sums, nrmse};
-use std::ops::Range;
+use slices::Cells;
 
 /// Why a comparison could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -62,7 +62,8 @@ pub struct Error {
     pub nrmse_a: Option<f64>,
     /// Of the displacement D.
     pub nrmse_d: Option<f64>,
-    /// Of the force (`component`).
+    /// Of the force: `component` the measured one, else the restoring force -M A (less what is applied)
+    /// along the measured motion.
     pub nrmse_force: Option<f64>,
     /// What noise alone would leave in A.
     pub noise_floor_a: Option<f64>,
@@ -122,6 +123,10 @@ pub struct Comparison {
     pub model: String,
     /// Kind of the record.
     pub kind: Kind,
+    /// Sampling rate, Hz.
+    pub sample_rate_hz: f64,
+    /// Mass of the model with its effects, kg.
+    pub mass_kg: f64,
     /// How the model was run.
     pub method: Method,
     /// Band-pass of both sides, Hz; absent when nothing is filtered.
@@ -148,6 +153,9 @@ pub struct Comparison {
     pub sentence: String,
     /// What was noticed or repaired.
     pub notes: Vec<String>,
+    /// Residual force along the counted samples of each window, N; for plots.
+    #[serde(skip)]
+    pub force_along: Vec<Vec<f32>>,
     /// The compared channels, for plots.
     #[serde(skip)]
     pub channels: Channels,
@@ -162,6 +170,20 @@ pub struct Comparison {
 /// [`CompareError`] when the record lacks what its kind needs, the model is refused or diverges.
 pub fn compare(record: &Record, spec: &ModelSpec) -> Result<Comparison, CompareError> {
     check(record)?;
+    std::thread::scope(|scope| {
+        let quality = scope.spawn(|| quality::examine(record));
+        let mut comparison = judge(record, spec)?;
+        comparison.quality = joined(quality);
+        Ok(comparison)
+    })
+}
+
+/// Waits for a thread; its panic goes on in this one.
+fn joined<T>(thread: std::thread::ScopedJoinHandle<'_, T>) -> T {
+    thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+}
+
+fn judge(record: &Record, spec: &ModelSpec) -> Result<Comparison, CompareError> {
     let rate = record.sample_rate_hz;
     let windows = windows(record);
     let mut notes = record.notes.clone();
@@ -173,74 +195,92 @@ pub fn compare(record: &Record, spec: &ModelSpec) -> Result<Comparison, CompareE
         );
     }
     let band = if held { Band::of(record, &windows) } else { None };
-    let floor = noise::in_band(record, &windows, band.as_ref());
-    let hiss = response::drive_noise(&measured, floor.input);
-    let (simulated, hissing, force, quality) = std::thread::scope(|scope| {
+    let hiss = response::drive_noise(&measured, noise::of_input(record));
+    let (simulated, hissing, force, floor) = std::thread::scope(|scope| {
         let hissing = scope.spawn(|| {
             if hiss.is_empty() {
-                None
-            } else {
-                response::simulate(&measured, spec, &hiss).ok().map(|run| run.1)
+                return None;
             }
+            let mut channels = response::simulate(&measured, spec, &hiss).ok()?.1;
+            filter([&mut channels.model_a, &mut channels.model_d], band.as_ref(), rate);
+            Some(channels)
         });
-        let force = scope.spawn(|| force::residual(&measured, spec, &windows));
-        let quality = scope.spawn(|| quality::examine(record));
-        let simulated = response::simulate(&measured, spec, &[]);
-        (simulated, hissing.join(), force.join(), quality.join())
+        let rest = scope.spawn(|| {
+            let floor = noise::in_band(record, &windows, band.as_ref());
+            (force::residual(&measured, spec, &windows), floor)
+        });
+        let simulated = simulate(&measured, spec, band.as_ref());
+        let (force, floor) = joined(rest);
+        (simulated, joined(hissing), force, floor)
     });
     let (method, mut channels, free) = simulated?;
-    let mut hissing = hissing.ok().flatten();
-    let force = match force {
-        Ok(force) => force?,
-        Err(panic) => std::panic::resume_unwind(panic),
-    };
-    if let Some(at) = channels.model_a.iter().position(|a| !a.is_finite()) {
-        return Err(CompareError::Diverged(spec.name.clone(), at as f64 / rate));
-    }
+    let force = force?;
     (channels.measured_a, channels.measured_d) = (measured.a, measured.d);
     if record.kind == Kind::Component {
         // The displacement is imposed: there is nothing to compare.
-        channels.measured_d.clear();
+        channels.imposed_d = std::mem::take(&mut channels.measured_d);
     }
-    if let Some(band) = &band {
-        filter(&mut channels, band, rate);
-        if let Some(other) = &mut hissing {
-            filter(other, band, rate);
-        }
-    }
+    filter([&mut channels.measured_a, &mut channels.measured_d], band.as_ref(), rate);
     let delay = band.as_ref().map_or(0, |band| band.delay_samples(rate));
-    let gathered = gather(&windows, &channels, &free, delay, rate);
-    let error = overall(
+    let gathered = account::gather(&windows, &channels, &free, delay, rate);
+    let mut error = account::overall(
         record.kind,
         &gathered.cells.total(),
         &floor,
-        spec.mass_kg,
-        hissing.map(|other| propagated(&windows, &channels, &other)),
+        measured.mass_kg,
+        hissing.map(|other| account::propagated(&windows, &channels, &other)),
     );
-    let steps = steps(&windows, &gathered.windows, &channels, force.as_ref(), rate);
+    if record.kind != Kind::Component {
+        error.nrmse_force = force.as_ref().and_then(|force| slices::nrmse(force.cells.total().force));
+    }
+    let steps = account::steps(&windows, &gathered.windows, &channels, force.as_ref(), rate);
     let sentence = sentence::sentence(force.as_ref().map(|f| &f.cells), &gathered.cells, &windows, &steps);
+    let regimes = regimes(&gathered.cells, force.as_ref());
     Ok(Comparison {
         record: record.source.clone(),
         model: spec.name.clone(),
         kind: record.kind,
+        sample_rate_hz: rate,
+        mass_kg: measured.mass_kg,
         method,
         band_hz: band.map(|band| [band.low_hz, band.high_hz]),
         error,
         steps,
-        regimes: regimes(&gathered.cells, force.as_ref()),
+        regimes,
         directions: gathered.directions(&windows),
         phases: gathered.named(&gathered.phases, |i| format!("{}-{} deg", 30 * i, 30 * (i + 1))),
         amplitudes: gathered
             .named(&gathered.amplitudes, |i| format!("|D| {}-{} % of the largest", 25 * i, 25 * (i + 1))),
         times: gathered
             .named(&gathered.times, |i| ["first third", "middle third", "last third"][i.min(2)].to_owned()),
+        force_along: force.as_ref().map(|force| force.residual_n.clone()).unwrap_or_default(),
         residual_force: force.map(|force| force.map),
-        quality: quality.unwrap_or_default(),
+        quality: Vec::new(),
         sentence,
         notes,
         channels,
         windows,
     })
+}
+
+/// The simulation, checked and filtered.
+fn simulate(
+    measured: &Measured,
+    spec: &ModelSpec,
+    band: Option<&Band>,
+) -> Result<(Method, Channels, Vec<std::ops::Range<usize>>), CompareError> {
+    let (method, mut channels, free) = response::simulate(measured, spec, &[])?;
+    if let Some(at) = channels.model_a.iter().position(|a| !a.is_finite()) {
+        return Err(CompareError::Diverged(spec.name.clone(), at as f64 * measured.dt_s));
+    }
+    filter([&mut channels.model_a, &mut channels.model_d], band, 1.0 / measured.dt_s);
+    Ok((method, channels, free))
+}
+
+fn filter(channels: [&mut Vec<f64>; 2], band: Option<&Band>, rate: f64) {
+    if let Some(band) = band {
+        channels.into_iter().for_each(|channel| band.filter(channel, rate));
+    }
 }
 
 /// Regimes of the simulation with the shares of the residual force, whose regimes are those of the
@@ -284,178 +324,4 @@ fn check(record: &Record) -> Result<(), CompareError> {
         return refuse("no measured response in it: neither acceleration, displacement nor force".to_owned());
     }
     Ok(())
-}
-
-fn filter(channels: &mut Channels, band: &Band, rate: f64) {
-    for channel in
-        [&mut channels.measured_a, &mut channels.model_a, &mut channels.measured_d, &mut channels.model_d]
-    {
-        band.filter(channel, rate);
-    }
-}
-
-/// RMS of A and D that the noise of the driving channel leaves in the response of the model, over the
-/// whole steps: what a resonance passes is slow, and the counted cycles hold few of its swings.
-fn propagated(windows: &[Window], one: &Channels, other: &Channels) -> [f64; 2] {
-    let rms = |a: &[f64], b: &[f64]| {
-        let (mut sum, mut count) = (0.0, 0.0);
-        for window in windows {
-            for (a, b) in a[window.whole.clone()].iter().zip(&b[window.whole.clone()]) {
-                sum += (a - b).powi(2);
-                count += 1.0;
-            }
-        }
-        (sum / f64::max(count, 1.0)).sqrt()
-    };
-    [rms(&one.model_a, &other.model_a), rms(&one.model_d, &other.model_d)]
-}
-
-fn overall(
-    kind: Kind,
-    total: &Sums,
-    floor: &NoiseFloor,
-    mass_kg: f64,
-    propagated: Option<[f64; 2]>,
-) -> Error {
-    let rms = |[_, measured]: [f64; 2]| (measured > 0.0).then(|| (measured / total.count.max(1.0)).sqrt());
-    let (rms_a, rms_d) = (rms(total.a), rms(total.d));
-    let [input_a, input_d] = propagated.unwrap_or_default();
-    let sensor_a = if kind == Kind::Component { floor.force_n / mass_kg } else { floor.acceleration_m_s2 };
-    let nrmse_a = nrmse(total.a);
-    Error {
-        nrmse_a,
-        nrmse_d: nrmse(total.d),
-        nrmse_force: nrmse_a.filter(|_| kind == Kind::Component),
-        noise_floor_a: rms_a.map(|rms| sensor_a.hypot(input_a) / rms),
-        noise_floor_d: rms_d.map(|rms| floor.displacement_m.hypot(input_d) / rms),
-        rms_a_m_s2: rms_a,
-        rms_d_m: rms_d,
-    }
-}
-
-/// Sums of the compared channels by everything that is asked.
-#[derive(Default)]
-struct Gathered {
-    cells: Cells,
-    windows: Vec<Sums>,
-    phases: Vec<Sums>,
-    amplitudes: Vec<Sums>,
-    times: Vec<Sums>,
-}
-
-impl Gathered {
-    fn named(&self, parts: &[Sums], name: impl Fn(usize) -> String) -> Vec<Slice> {
-        let total = self.cells.total();
-        let filled = parts.iter().enumerate().filter(|(_, part)| part.count > 0.0);
-        filled.map(|(i, part)| Slice::new(name(i), part, &total)).collect()
-    }
-
-    fn directions(&self, windows: &[Window]) -> Vec<Slice> {
-        let mut parts = [Sums::default(); 2];
-        for (window, sums) in windows.iter().zip(&self.windows) {
-            if let Some(direction) = window.direction {
-                parts[usize::from(direction == Direction::Backward)] += sums;
-            }
-        }
-        self.named(&parts, |i| ["forward", "backward"][i.min(1)].to_owned())
-    }
-}
-
-fn gather(
-    windows: &[Window],
-    channels: &Channels,
-    free: &[Range<usize>],
-    delay: usize,
-    rate: f64,
-) -> Gathered {
-    let mut out = Gathered {
-        phases: vec![Sums::default(); 12],
-        amplitudes: vec![Sums::default(); 4],
-        times: vec![Sums::default(); 3],
-        ..Gathered::default()
-    };
-    let n = channels.model_a.len();
-    let motion = if channels.measured_d.is_empty() { &channels.model_d } else { &channels.measured_d };
-    let counted = windows.iter().flat_map(|window| window.counted.clone());
-    let largest = counted.map(|i| motion[i].abs()).fold(1e-300, f64::max);
-    let square = |measured: &[f64], model: &[f64], i: usize| match measured.get(i) {
-        Some(x) => [(x - model[i]).powi(2), x * x],
-        None => [0.0; 2],
-    };
-    for window in windows {
-        let mut sums = Sums::default();
-        for range in free {
-            let (from, to) = (window.counted.start.max(range.start), window.counted.end.min(range.end));
-            for (i, at_d) in motion.iter().enumerate().take(to).skip(from) {
-                let sample = Sums {
-                    count: 1.0,
-                    a: square(&channels.measured_a, &channels.model_a, i),
-                    d: square(&channels.measured_d, &channels.model_d, i),
-                    ..Sums::default()
-                };
-                // The filter delays the residual against the motion that made it.
-                let at = i.saturating_sub(delay).max(range.start);
-                *out.cells.of(channels.regime[at], channels.outward[at]) += &sample;
-                sums += &sample;
-                if let Some(place) = window.cycle_place(at, rate) {
-                    out.phases[((12.0 * place) as usize).min(11)] += &sample;
-                }
-                out.amplitudes[((4.0 * at_d.abs() / largest) as usize).min(3)] += &sample;
-                out.times[(3 * i / n.max(1)).min(2)] += &sample;
-            }
-        }
-        out.windows.push(sums);
-    }
-    out
-}
-
-fn steps(
-    windows: &[Window],
-    sums: &[Sums],
-    channels: &Channels,
-    force: Option<&ResidualForce>,
-    rate: f64,
-) -> Vec<StepMisfit> {
-    let rows = windows.iter().zip(sums).enumerate();
-    rows.filter(|(_, (window, sums))| window.step >= 0 && sums.count > 0.0)
-        .map(|(i, (window, sums))| {
-            let residual_n = force.and_then(|force| force.windows.get(i)).map(|w| w.residual_rms_n);
-            step(window, sums, channels, residual_n, rate)
-        })
-        .collect()
-}
-
-fn step(window: &Window, sums: &Sums, channels: &Channels, residual_n: Option<f64>, rate: f64) -> StepMisfit {
-    let cut = |channel: &'_ [f64]| channel.get(window.counted.clone()).unwrap_or_default().to_vec();
-    let (a, model_a) = (cut(&channels.measured_a), cut(&channels.model_a));
-    let (d, model_d) = (cut(&channels.measured_d), cut(&channels.model_d));
-    let peak = |x: &[f64]| (!x.is_empty()).then(|| x.iter().fold(0.0, |top: f64, x| top.max(x.abs())));
-    let excursion = |x: &[f64]| {
-        let range = x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
-        (!x.is_empty()).then_some(range.1 - range.0)
-    };
-    let harmonics = |measured: &[f64], model: &[f64]| match window.frequency_hz {
-        Some(f) if !measured.is_empty() => harmonics::misfit(measured, model, f, rate),
-        _ => Vec::new(),
-    };
-    let rms = |sum: f64, there: &[f64]| (!there.is_empty()).then(|| (sum / sums.count).sqrt());
-    StepMisfit {
-        index: window.step,
-        direction: window.direction,
-        frequency_hz: window.frequency_hz,
-        from_s: window.counted.start as f64 / rate,
-        nrmse_a: nrmse(sums.a),
-        nrmse_d: nrmse(sums.d),
-        rms_a_measured_m_s2: rms(sums.a[1], &a),
-        rms_a_residual_m_s2: rms(sums.a[0], &a),
-        rms_d_measured_m: rms(sums.d[1], &d),
-        rms_d_residual_m: rms(sums.d[0], &d),
-        a_max_m_s2: peak(&a),
-        model_a_max_m_s2: peak(&model_a).filter(|_| !a.is_empty()),
-        excursion_m: excursion(&d),
-        model_excursion_m: excursion(&model_d).filter(|_| !d.is_empty()),
-        force_residual_n: residual_n,
-        harmonics_a: harmonics(&a, &model_a),
-        harmonics_d: harmonics(&d, &model_d),
-    }
 }

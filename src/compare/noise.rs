@@ -10,7 +10,7 @@ use super::band::Band;
 use super::window::{Window, windows};
 use crate::identify::spectral::{Spectrum, white_noise_rms};
 use crate::record::{Kind, Record};
-use std::f64::consts::TAU;
+use crate::signal::hann;
 
 /// Samples that are looked at for white noise.
 const PIECE: usize = 1 << 17;
@@ -36,10 +36,15 @@ pub fn noise_floor(record: &Record) -> NoiseFloor {
     in_band(record, &windows, band.as_ref())
 }
 
+/// White noise of the channel that drives the model, over its whole band.
+pub(super) fn of_input(record: &Record) -> f64 {
+    white(record.input(), record.sample_rate_hz)
+}
+
 pub(super) fn in_band(record: &Record, windows: &[Window], band: Option<&Band>) -> NoiseFloor {
     let rate = record.sample_rate_hz;
     let share = band.map_or(1.0, |band| band.noise_share(rate).sqrt());
-    let input = white(record.input(), rate);
+    let input = of_input(record);
     match record.kind {
         Kind::Base => NoiseFloor {
             acceleration_m_s2: accelerometers(record, windows, band, share),
@@ -83,11 +88,10 @@ fn white(channel: &[f64], rate: f64) -> f64 {
         return 0.0;
     };
     let mean = piece.iter().sum::<f64>() / piece.len() as f64;
-    let step = TAU / piece.len() as f64;
-    let hann: Vec<f64> =
-        piece.iter().enumerate().map(|(i, x)| (x - mean) * (1.0 - (step * (i as f64 + 0.5)).cos())).collect();
+    let windowed: Vec<f64> =
+        piece.iter().zip(hann(piece.len())).map(|(x, weight)| (x - mean) * weight).collect();
     // 1.5 is the mean square of the window.
-    white_noise_rms(&Spectrum::of(&hann, rate), 0.4, 0.9) / 1.5_f64.sqrt()
+    white_noise_rms(&Spectrum::of(&windowed, rate), 0.4, 0.9) / 1.5_f64.sqrt()
 }
 
 /// RMS of what does not repeat from one counted cycle to the next: the median over the steps, so that

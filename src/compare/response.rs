@@ -5,6 +5,7 @@ use super::window::Window;
 use crate::model::system::System;
 use crate::model::{ModelSpec, Observer, Regime, Specimen, build};
 use crate::record::{Kind, Record};
+use crate::signal::hann;
 use rand::{Rng, SeedableRng};
 use serde::Serialize;
 use std::ops::Range;
@@ -40,6 +41,8 @@ pub struct Channels {
     pub measured_d: Vec<f64>,
     /// The model's.
     pub model_d: Vec<f64>,
+    /// Displacement that was imposed (`component`), m.
+    pub imposed_d: Vec<f64>,
     /// The model's regime.
     pub regime: Vec<Regime>,
     /// Whether the model is moving towards the side it is on (contact: approaching).
@@ -150,15 +153,7 @@ impl Measured {
 
 /// Mean that whole cycles do not enter: weighted with a Hann window over the channel.
 fn steady_mean(channel: &[f64]) -> f64 {
-    let step = std::f64::consts::TAU / channel.len().max(1) as f64;
-    // The cosine by recurrence: 2 cos(h) c(i) - c(i-1).
-    let (mut now, mut before) = ((0.5 * step).cos(), (0.5 * step).cos());
-    let twice = 2.0 * step.cos();
-    let mut sum = 0.0;
-    for x in channel {
-        sum += (1.0 - now) * x;
-        (now, before) = (twice * now - before, now);
-    }
+    let sum: f64 = channel.iter().zip(hann(channel.len())).map(|(x, weight)| x * weight).sum();
     sum / channel.len().max(1) as f64
 }
 

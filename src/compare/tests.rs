@@ -194,3 +194,33 @@ fn what_is_missing_is_said() {
     let short = Record { time_s: vec![0.0; 3], ..Record::empty("short", Kind::Base, RATE) };
     assert!(compare(&short, &b1_g2()).is_err());
 }
+
+#[test]
+fn the_page_shows_what_the_record_has() {
+    let html = |found: &Comparison| crate::report::comparison::page(found).expect("drawn").html();
+    let base = compare(&swept(&b1_g2(), &STEPS, 0.5, LAB), &b1_g2()).expect("comparable");
+    let page = html(&base);
+    for part in ["A_max (m/s2)", "Hysteresis loop", "Phase portrait", "Residual force over time", "fundamental"] {
+        assert!(page.contains(part), "{part}");
+    }
+    assert!(page.contains(&base.sentence) && !page.contains("NaN") && !page.contains("#F1"));
+    // Only a displacement, no steps: neither loops nor residual force.
+    let mut bare = swept(&b1_g2(), &[1.4], 0.5, LAB);
+    bare.mass_acceleration_1_m_s2.clear();
+    bare.mass_acceleration_2_m_s2.clear();
+    bare.step.clear();
+    let found = compare(&bare, &b1_g2()).expect("comparable");
+    assert!(found.residual_force.is_none() && found.steps.is_empty());
+    let page = html(&found);
+    assert!(page.contains("Displacement D") && !page.contains("Hysteresis loop"), "{}", found.sentence);
+}
+
+#[test]
+fn the_force_of_a_free_specimen_is_judged_along_its_motion() {
+    let record = swept(&b1_g2(), &STEPS, 0.5, LAB);
+    let right = compare(&record, &b1_g2()).expect("comparable").error.nrmse_force.expect("measured");
+    let mut soft = b1_g2();
+    soft.isolator.stiffness_n_m.iter_mut().for_each(|k| *k *= 0.9);
+    let wrong = compare(&record, &soft).expect("comparable").error.nrmse_force.expect("measured");
+    assert!(right < 0.02 && (0.04..0.12).contains(&wrong), "{right} {wrong}");
+}

@@ -2,7 +2,8 @@
 
 use super::data::{Kind, Record};
 use super::folder::{RunError, RunFolder};
-use super::salvage::readable_rows;
+use super::salvage::{readable_rows, visit_sound};
+use crate::stream::Row;
 use std::path::Path;
 
 /// Reads the samples of a run, finished or interrupted. Samples that were lost are filled in by
@@ -13,27 +14,44 @@ use std::path::Path;
 pub fn read_run(path: &Path) -> Result<Record, RunError> {
     let folder = RunFolder::open(path)?;
     let manifest = folder.manifest()?;
-    let (rows, damage) = readable_rows(&folder)?;
-    let first = rows.first().map_or(0, |row| row.sample.sequence);
-    let mut record = Record {
-        source: path.display().to_string(),
-        kind: Kind::Base,
-        sample_rate_hz: manifest.sample_rate_hz,
-        time_s: Vec::with_capacity(rows.len()),
-        table_displacement_m: Vec::with_capacity(rows.len()),
-        table_acceleration_m_s2: Vec::with_capacity(rows.len()),
-        mass_acceleration_1_m_s2: Vec::with_capacity(rows.len()),
-        mass_acceleration_2_m_s2: Vec::with_capacity(rows.len()),
-        relative_displacement_m: Vec::with_capacity(rows.len()),
-        force_n: Vec::new(),
-        displacement_m: Vec::new(),
-        acceleration_m_s2: Vec::new(),
-        step: Vec::with_capacity(rows.len()),
-        notes: damage.into_iter().map(|damage| format!("reading stopped early: {damage}")).collect(),
-    };
-    let mut last: Option<(u64, [f64; 5])> = None;
-    let mut filled = 0u64;
-    for row in &rows {
+    let rate = manifest.sample_rate_hz;
+    let expected = usize::try_from(manifest.samples).unwrap_or(0).min(1 << 22);
+    let mut grid = Grid::new(path, rate, expected);
+    if !visit_sound(&folder, &mut |row| grid.push(&row)) {
+        let (rows, damage) = readable_rows(&folder)?;
+        grid = Grid::new(path, rate, rows.len());
+        grid.record.notes.extend(damage.map(|damage| format!("reading stopped early: {damage}")));
+        rows.iter().for_each(|row| grid.push(row));
+    }
+    Ok(grid.finish())
+}
+
+/// Rows being put on a uniform grid of time.
+struct Grid {
+    record: Record,
+    first: u64,
+    last: Option<(u64, [f64; 5])>,
+    filled: u64,
+}
+
+impl Grid {
+    fn new(path: &Path, sample_rate_hz: f64, rows: usize) -> Self {
+        let mut record = Record::empty(path.display().to_string(), Kind::Base, sample_rate_hz);
+        for channel in [
+            &mut record.time_s,
+            &mut record.table_displacement_m,
+            &mut record.table_acceleration_m_s2,
+            &mut record.mass_acceleration_1_m_s2,
+            &mut record.mass_acceleration_2_m_s2,
+            &mut record.relative_displacement_m,
+        ] {
+            channel.reserve_exact(rows);
+        }
+        record.step.reserve_exact(rows);
+        Self { record, first: 0, last: None, filled: 0 }
+    }
+
+    fn push(&mut self, row: &Row) {
         let (sequence, c) = (row.sample.sequence, &row.sample.channels);
         let values = [
             c.table_displacement_m,
@@ -42,36 +60,44 @@ pub fn read_run(path: &Path) -> Result<Record, RunError> {
             c.mass_acceleration_2_m_s2,
             c.relative_displacement_m,
         ];
-        if let Some((before, old)) = last {
+        match self.last {
+            None => self.first = sequence,
             // A repeated or backward number is the DAQ's fault and has no place on a uniform grid.
-            if sequence <= before {
-                record.notes.push(format!("sample {sequence} came again and was left out"));
-                continue;
+            Some((before, _)) if sequence <= before => {
+                self.record.notes.push(format!("sample {sequence} came again and was left out"));
+                return;
             }
-            for missing in before + 1..sequence {
-                let share = (missing - before) as f64 / (sequence - before) as f64;
-                let between: [f64; 5] = std::array::from_fn(|i| old[i] + share * (values[i] - old[i]));
-                push(&mut record, missing - first, &between, -1);
-                filled += 1;
+            Some((before, old)) => {
+                for missing in before + 1..sequence {
+                    let share = (missing - before) as f64 / (sequence - before) as f64;
+                    let between = std::array::from_fn(|i| old[i] + share * (values[i] - old[i]));
+                    self.put(missing, &between, -1);
+                    self.filled += 1;
+                }
             }
         }
-        push(&mut record, sequence - first, &values, row.step);
-        last = Some((sequence, values));
+        self.put(sequence, &values, row.step);
+        self.last = Some((sequence, values));
     }
-    if filled > 0 {
-        record.notes.push(format!("{filled} lost samples were filled in by straight lines"));
-    }
-    Ok(record)
-}
 
-fn push(record: &mut Record, index: u64, values: &[f64; 5], step: i32) {
-    record.time_s.push(index as f64 / record.sample_rate_hz);
-    record.table_displacement_m.push(values[0]);
-    record.table_acceleration_m_s2.push(values[1]);
-    record.mass_acceleration_1_m_s2.push(values[2]);
-    record.mass_acceleration_2_m_s2.push(values[3]);
-    record.relative_displacement_m.push(values[4]);
-    record.step.push(step);
+    fn put(&mut self, sequence: u64, values: &[f64; 5], step: i32) {
+        let record = &mut self.record;
+        record.time_s.push((sequence - self.first) as f64 / record.sample_rate_hz);
+        record.table_displacement_m.push(values[0]);
+        record.table_acceleration_m_s2.push(values[1]);
+        record.mass_acceleration_1_m_s2.push(values[2]);
+        record.mass_acceleration_2_m_s2.push(values[3]);
+        record.relative_displacement_m.push(values[4]);
+        record.step.push(step);
+    }
+
+    fn finish(mut self) -> Record {
+        if self.filled > 0 {
+            let note = format!("{} lost samples were filled in by straight lines", self.filled);
+            self.record.notes.push(note);
+        }
+        self.record
+    }
 }
 
 #[cfg(test)]
@@ -79,7 +105,7 @@ mod tests {
     use super::*;
     use crate::record::Manifest;
     use crate::record::samples::SampleWriter;
-    use crate::stream::{Row, Sample};
+    use crate::stream::Sample;
 
     #[test]
     fn lost_samples_are_bridged_and_named() {

@@ -24,7 +24,9 @@ pub fn readable_rows(folder: &RunFolder) -> Result<(Vec<Row>, Option<String>), R
     let path = folder.samples();
     // The rate is told by the manifest too, which outlives a damaged sample file.
     let known_rate = folder.manifest().ok().map(|manifest| manifest.sample_rate_hz);
-    let (rows, rate, damage) = match guarded(&path, || in_order(&path)) {
+    let mut rows = Vec::new();
+    let read = guarded(&path, || in_order(&path, &mut |row| rows.push(row)));
+    let (rows, rate, damage) = match read.map(|(rate, damage)| (rows, rate, damage)) {
         Ok((rows, rate, None)) => {
             let missing = expected_rows(folder).saturating_sub(rows.len());
             if missing == 0 {
@@ -45,47 +47,55 @@ pub fn readable_rows(folder: &RunFolder) -> Result<(Vec<Row>, Option<String>), R
     Ok((found, Some(damage)))
 }
 
+/// Hands each row of an undamaged, complete sample file on, in order, without keeping them; `false` when
+/// the file is damaged or rows are missing, and nothing of what was handed on may be used.
+pub fn visit_sound(folder: &RunFolder, visit: &mut dyn FnMut(Row)) -> bool {
+    let path = folder.samples();
+    let mut count = 0;
+    let read = guarded(&path, || {
+        in_order(&path, &mut |row| {
+            count += 1;
+            visit(row);
+        })
+    });
+    matches!(read, Ok((_, None))) && count >= expected_rows(folder)
+}
+
 /// Rows that the hash chain vouches for having been written.
 fn expected_rows(folder: &RunFolder) -> usize {
     super::verify::links(folder).last_key_value().map_or(0, |(rows, _)| *rows)
 }
 
 /// A decoder fed with a damaged file must not take the process down.
-fn guarded<T>(
-    path: &Path,
-    read: impl FnOnce() -> Result<T, SampleFileError> + std::panic::UnwindSafe,
-) -> Result<T, SampleFileError> {
-    std::panic::catch_unwind(read).unwrap_or_else(|_| Err(SampleFileError::Damaged { path: path.to_owned() }))
+fn guarded<T>(path: &Path, read: impl FnOnce() -> Result<T, SampleFileError>) -> Result<T, SampleFileError> {
+    // Every row that was handed on before a panic is whole.
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(read))
+        .unwrap_or_else(|_| Err(SampleFileError::Damaged { path: path.to_owned() }))
 }
 
-type InOrder = (Vec<Row>, f64, Option<String>);
-
-/// Rows as the file's index has them, up to the first that is none.
-fn in_order(path: &Path) -> Result<InOrder, SampleFileError> {
+/// Rows as the file's index has them, up to the first that is none: the rate, and what is wrong there.
+fn in_order(path: &Path, sink: &mut dyn FnMut(Row)) -> Result<(f64, Option<String>), SampleFileError> {
     let reader = SampleReader::open(path)?;
     let rate = reader.sample_rate_hz();
-    let mut rows: Vec<Row> = Vec::with_capacity(usize::try_from(reader.rows()).unwrap_or(0).min(1 << 20));
-    let mut start = 0;
+    let (mut start, mut rows, mut last) = (0, 0u64, None);
     while start < reader.rows() {
         let count = BLOCK_ROWS.min(reader.rows() - start);
         let bytes = match reader.read_bytes(start, count) {
             Ok(bytes) => bytes,
-            Err(error) => return Ok((rows, rate, Some(error.to_string()))),
+            Err(error) => return Ok((rate, Some(error.to_string()))),
         };
         for row in bytes.chunks_exact(ROW_BYTES) {
             // Zeroed blocks and the like; a repeated number is the DAQ's own and stays.
-            let last = rows.last().map(|last| last.sample.sequence);
-            match number(row, rate).filter(|&n| last.is_none_or(|last| n != 0 && n + MOST_BACK > last)) {
-                Some(_) => rows.push(decode(row)),
-                None => {
-                    let damage = format!("row {} is damaged", rows.len());
-                    return Ok((rows, rate, Some(damage)));
-                }
+            let here = number(row, rate);
+            if here.is_none_or(|n| last.is_some_and(|last| n == 0 || n + MOST_BACK <= last)) {
+                return Ok((rate, Some(format!("row {rows} is damaged"))));
             }
+            sink(decode(row));
+            (last, rows) = (here, rows + 1);
         }
         start += count;
     }
-    Ok((rows, rate, None))
+    Ok((rate, None))
 }
 
 /// How far a DAQ may number backwards and still be believed, samples.

@@ -1,6 +1,7 @@
 //! One plot: axes with units, lines, points, legend. Drawn by `plotters` into SVG.
 
 use super::ReportError;
+use super::heat::Heat;
 use super::style::{Dash, GRID, Ink, Stroke, TEXT, resolve, stand_in};
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -34,13 +35,14 @@ enum Item {
     Line { points: Vec<(f64, f64)>, stroke: Stroke },
     Points { points: Vec<(f64, f64)>, ink: Ink, marker: Marker, radius_px: f64 },
     Level { y: f64, stroke: Stroke },
+    Cells(Heat),
 }
 
 impl Item {
     fn points(&self) -> &[(f64, f64)] {
         match self {
             Self::Line { points, .. } | Self::Points { points, .. } => points,
-            Self::Level { .. } => &[],
+            Self::Level { .. } | Self::Cells(_) => &[],
         }
     }
 }
@@ -123,6 +125,17 @@ impl Chart {
         self
     }
 
+    /// Adds coloured cells, below what is added later; the axes span them. `unit` is that of the values.
+    #[must_use]
+    pub fn heat(mut self, label: &str, unit: &str, heat: Heat) -> Self {
+        if let Some((x, y)) = heat.ranges() {
+            (self.x_range, self.y_range) = (Some(x), Some(y));
+        }
+        let text = format!("{label}, up to {} {unit}", figure(heat.largest()));
+        self.items.push((Some(text), Item::Cells(heat)));
+        self
+    }
+
     /// The plot as an SVG file of its own, with fixed colours on white.
     ///
     /// # Errors
@@ -199,6 +212,11 @@ impl Chart {
                         inside.draw(&PathElement::new(vec![(x.0, *level), (x.1, *level)], style(stroke)))?;
                     }
                 }
+                Item::Cells(heat) => {
+                    for (corners, colour) in heat.cells() {
+                        inside.draw(&Rectangle::new(corners, colour.filled()))?;
+                    }
+                }
                 Item::Points { points, ink, marker, radius_px } => {
                     let within = |p: &&(f64, f64)| (x.0..=x.1).contains(&p.0) && (y.0..=y.1).contains(&p.1);
                     for &point in points.iter().filter(within) {
@@ -256,6 +274,14 @@ impl Chart {
             match item {
                 Item::Line { stroke, .. } | Item::Level { stroke, .. } => {
                     area.draw(&PathElement::new(sample, style(stroke)))?;
+                }
+                Item::Cells(heat) => {
+                    let key = heat.key();
+                    for (i, colour) in key.iter().enumerate() {
+                        let edge = |i: usize| pixel(x + 26.0 * i as f64 / key.len() as f64);
+                        let corners = [(edge(i), y - pixel(5.0)), (edge(i + 1), y + pixel(5.0))];
+                        area.draw(&Rectangle::new(corners, colour.filled()))?;
+                    }
                 }
                 Item::Points { ink, marker, radius_px, .. } => {
                     mark(area, (pixel(x + 13.0), y), *ink, *marker, *radius_px)?;
@@ -320,6 +346,15 @@ fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
         return (low - half, high + half);
     }
     (low, high)
+}
+
+/// A number in three significant figures.
+fn figure(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return format!("{value}");
+    }
+    let decimals = (2.0 - value.abs().log10().floor()).clamp(0.0, 12.0) as usize;
+    format!("{value:.decimals$}")
 }
 
 /// Decimals that a range of ticks needs.

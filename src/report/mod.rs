@@ -6,6 +6,8 @@
 //! paper's figures for a run.
 
 mod chart;
+pub mod comparison;
+mod heat;
 pub mod of_run;
 mod page;
 pub mod run;
@@ -14,6 +16,7 @@ mod style;
 mod table;
 
 pub use chart::{Chart, Marker};
+pub use heat::Heat;
 pub use page::Page;
 pub use series::{RunSeries, envelope};
 pub use style::{Dash, Ink, Stroke};

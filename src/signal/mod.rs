@@ -12,7 +12,7 @@ mod offline;
 pub use analyzer::{ChannelResult, CyclePlace, HARMONICS, Harmonic, MAX_CYCLES, StepAnalyzer, StepResult};
 pub use butterworth::{BandPass, FilterBank};
 pub use low_pass::LowPass;
-pub use offline::{RecordStep, analyse_record, band_pass, fundamental_hz};
+pub use offline::{RecordStep, analyse_record, band_pass, fundamental_hz, hann};
 
 /// Lower corner of the paper's band-pass, Hz (Andreaus and De Angelis 2020).
 pub const BAND_LOW_HZ: f64 = 0.16;

@@ -129,12 +129,27 @@ fn crossing_hz(samples: &[f64], sample_rate_hz: f64) -> Option<f64> {
 /// Hann-windowed sum of `y exp(-i w n)` from sample `offset` on.
 fn phasor(samples: &[f64], offset: usize, hz: f64, sample_rate_hz: f64) -> Complex<f64> {
     let w = TAU * hz / sample_rate_hz;
-    let length = samples.len() as f64;
-    let windowed = samples.iter().enumerate().map(|(i, &sample)| {
-        let hann = 1.0 - (TAU * (i as f64 + 0.5) / length).cos();
-        Complex::from_polar(hann * sample, -w * (i + offset) as f64)
+    let turn = Complex::from_polar(1.0, -w);
+    let mut unit = Complex::from_polar(1.0, -w * offset as f64);
+    let windowed = samples.iter().zip(hann(samples.len())).map(|(&sample, weight)| {
+        let now = unit * (weight * sample);
+        unit *= turn;
+        now
     });
     windowed.sum()
+}
+
+/// Hann weights `1 - cos(2 pi (i + 1/2)/n)` for i = 0..n, their mean is 1. By a turning phasor: a cosine
+/// a sample would cost more than all else; the error grows by one rounding a sample.
+pub fn hann(length: usize) -> impl Iterator<Item = f64> {
+    let step = TAU / length.max(1) as f64;
+    let turn = Complex::from_polar(1.0, step);
+    let mut unit = Complex::from_polar(1.0, 0.5 * step);
+    (0..length).map(move |_| {
+        let weight = 1.0 - unit.re;
+        unit *= turn;
+        weight
+    })
 }
 
 #[cfg(test)]

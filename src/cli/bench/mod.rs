@@ -1,6 +1,7 @@
 //! `shaketable bench`: how long a control step takes, how late the control thread wakes beside
 //! `cyclictest`, and the highest rate at which it keeps up.
 
+mod compare;
 mod cyclictest;
 mod model;
 mod wall;
@@ -28,6 +29,8 @@ pub struct Args {
 enum What {
     /// The specimen model: a sweep with histories, with peaks only, sampled input, the general solver.
     Model,
+    /// A comparison of a whole sweep and its parts.
+    Compare,
     /// Time of one control step with filters, model, detectors and demodulation on.
     Control {
         /// Control steps that are timed.
@@ -62,6 +65,7 @@ enum What {
 pub fn execute(args: Args) -> Result<Outcome, CliError> {
     match &args.what {
         What::Model => model::execute(args.json),
+        What::Compare => compare::execute(args.json),
         What::Control { steps, case } => control(*steps, case, args.json),
         What::Latency { wall, rate } => wall::latency(wall, *rate, args.json),
         What::Rate { wall, rates } => wall::rates(wall, rates, args.json),

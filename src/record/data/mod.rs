@@ -9,6 +9,8 @@ mod hdf5;
 mod mat;
 #[cfg(feature = "parquet")]
 mod parquet;
+#[cfg(feature = "parquet")]
+pub mod query;
 mod roles;
 mod steps;
 #[cfg(test)]

@@ -54,7 +54,7 @@ pub(super) fn read(path: &Path) -> Result<Columns, DataError> {
 }
 
 /// Appends one column chunk.
-fn take<T: DataType>(
+pub(super) fn take<T: DataType>(
     mut reader: ColumnReaderImpl<T>,
     most_level: i16,
     values: &mut Vec<f64>,
