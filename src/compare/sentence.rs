@@ -34,11 +34,12 @@ fn place(cells: &Cells, what: &str, pick: Pick) -> String {
         // One regime all the time tells nothing: the way of the motion does.
         places = cells.ways();
     }
-    // The two ways of one contact, and all of free motion, are told together when neither half of them
-    // holds most of it.
-    let largest = places.iter().map(|(_, sums)| pick(sums).0).fold(0.0, f64::max);
-    if largest < 0.5 * total {
-        places.extend(unions(&places));
+    // The narrowest place that holds most of it: a cell, else a side or a way, else all contact.
+    let most = |places: &[(String, Sums)]| places.iter().map(|(_, sums)| pick(sums).0).fold(0.0, f64::max);
+    for wider in [unions(&places, &NARROW), unions(&places, &WIDE)] {
+        if most(&places) < MOST * total {
+            places.extend(wider);
+        }
     }
     places.sort_by(|a, b| pick(&b.1).0.total_cmp(&pick(&a.1).0));
     match places.first() {
@@ -54,17 +55,27 @@ fn place(cells: &Cells, what: &str, pick: Pick) -> String {
     }
 }
 
-fn unions(places: &[(String, Sums)]) -> Vec<(String, Sums)> {
-    let sum = |prefix: &str| {
+/// Share of the misfit that counts as most of it.
+const MOST: f64 = 0.6;
+/// Unions of places: what their names begin and end with, and how they are called.
+const NARROW: [(&str, &str, &str); 5] = [
+    ("right contact", "", "right contact"),
+    ("left contact", "", "left contact"),
+    ("", "contact while approaching", "contact while approaching, on either side"),
+    ("", "contact while leaving", "contact while leaving, on either side"),
+    ("free motion", "", "free motion"),
+];
+const WIDE: [(&str, &str, &str); 1] = [("", "approaching|leaving", "contact on either side")];
+
+fn unions(places: &[(String, Sums)], of: &[(&str, &str, &str)]) -> Vec<(String, Sums)> {
+    let union = |(from, to, name): &(&str, &str, &str)| {
+        let fits = |place: &str| place.starts_with(from) && to.split('|').any(|end| place.ends_with(end));
+        let parts: Vec<_> = places.iter().filter(|(place, _)| fits(place)).collect();
         let mut sums = Sums::default();
-        let parts: Vec<_> = places.iter().filter(|(name, _)| name.starts_with(prefix)).collect();
         parts.iter().for_each(|(_, part)| sums += part);
-        (parts.len() > 1).then_some(sums)
+        (parts.len() > 1).then_some(((*name).to_owned(), sums))
     };
-    [("right contact", "right contact"), ("left contact", "left contact"), ("free motion", "free motion")]
-        .into_iter()
-        .filter_map(|(prefix, name)| sum(prefix).map(|sums| (name.to_owned(), sums)))
-        .collect()
+    of.iter().filter_map(union).collect()
 }
 
 /// What of a step's misfit is told: the residual force, else the residual of A or D.

@@ -200,7 +200,9 @@ fn the_page_shows_what_the_record_has() {
     let html = |found: &Comparison| crate::report::comparison::page(found).expect("drawn").html();
     let base = compare(&swept(&b1_g2(), &STEPS, 0.5, LAB), &b1_g2()).expect("comparable");
     let page = html(&base);
-    for part in ["A_max (m/s2)", "Hysteresis loop", "Phase portrait", "Residual force over time", "fundamental"] {
+    for part in
+        ["A_max (m/s2)", "Hysteresis loop", "Phase portrait", "Residual force over time", "fundamental"]
+    {
         assert!(page.contains(part), "{part}");
     }
     assert!(page.contains(&base.sentence) && !page.contains("NaN") && !page.contains("#F1"));

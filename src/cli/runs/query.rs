@@ -96,11 +96,11 @@ fn duckdb(tree: &Path, sql: &str) -> Result<Vec<serde_json::Value>, CliError> {
     let program =
         Command::new("duckdb").args(["-json", "-c", &views, "-c", sql]).stdin(Stdio::null()).output();
     let output = match program {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-            Command::new("python3").args(["-c", PYTHON, &views, sql]).stdin(Stdio::null()).output().map_err(
-                |_| CliError::failed("neither `duckdb` nor `python3` is there to answer SQL"),
-            )?
-        }
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Command::new("python3")
+            .args(["-c", PYTHON, &views, sql])
+            .stdin(Stdio::null())
+            .output()
+            .map_err(|_| CliError::failed("neither `duckdb` nor `python3` is there to answer SQL"))?,
         other => other.map_err(CliError::failed)?,
     };
     if !output.status.success() {
