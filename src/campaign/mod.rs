@@ -6,11 +6,16 @@
 //! case leaves one result; runs resume, may be spread over machines, and results never depend on who ran
 //! them or in which order.
 
+pub mod diagnose;
+pub mod figures;
+pub mod fit;
 pub mod ideal;
 pub mod peaks;
+pub mod report;
 pub mod runner;
 pub mod spec;
 pub mod store;
+pub mod tables;
 
 pub use runner::{Options, Summary, run};
 pub use spec::{CampaignSpec, CaseKey, Configuration};

@@ -56,6 +56,7 @@ pub struct Chart {
     height_px: f64,
     x_range: Option<(f64, f64)>,
     y_range: Option<(f64, f64)>,
+    x_names: Vec<String>,
     items: Vec<(Option<String>, Item)>,
 }
 
@@ -71,6 +72,7 @@ impl Chart {
             height_px: 340.0,
             x_range: None,
             y_range: None,
+            x_names: Vec::new(),
             items: Vec::new(),
         }
     }
@@ -86,6 +88,14 @@ impl Chart {
     #[must_use]
     pub fn x_range(mut self, low: f64, high: f64) -> Self {
         self.x_range = Some((low, high));
+        self
+    }
+
+    /// Names in place of the numbers 0, 1, 2 ... of the horizontal axis.
+    #[must_use]
+    pub fn x_names<S: Into<String>>(mut self, names: impl IntoIterator<Item = S>) -> Self {
+        self.x_names = names.into_iter().map(Into::into).collect();
+        self.x_range = Some((-0.5, self.x_names.len() as f64 - 0.5));
         self
     }
 
@@ -183,7 +193,14 @@ impl Chart {
             .x_label_area_size(px(42.0))
             .y_label_area_size(px(62.0))
             .build_cartesian_2d(x.0..x.1, y.0..y.1)?;
-        let (x_format, y_format) = (tick_format(x), tick_format(y));
+        let (x_number, y_format) = (tick_format(x), tick_format(y));
+        let x_format = |value: f64| match self.x_names.get(value.round().max(0.0) as usize) {
+            Some(name) if (value - value.round()).abs() < 1e-6 => name.clone(),
+            _ if self.x_names.is_empty() => x_number(value),
+            _ => String::new(),
+        };
+        let x_ticks =
+            if self.x_names.is_empty() { (self.width_px / 75.0) as usize } else { self.x_names.len() };
         chart
             .configure_mesh()
             .light_line_style(TRANSPARENT)
@@ -191,7 +208,7 @@ impl Chart {
             .axis_style(TEXT.stroke_width(px(1.0)))
             .x_desc(self.x_label.as_str())
             .y_desc(self.y_label.as_str())
-            .x_labels((self.width_px / 75.0) as usize)
+            .x_labels(x_ticks)
             .y_labels((self.height_px / 45.0) as usize)
             .x_label_formatter(&|value| x_format(*value))
             .y_label_formatter(&|value| y_format(*value))

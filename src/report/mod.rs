@@ -8,6 +8,7 @@
 mod chart;
 pub mod comparison;
 mod heat;
+mod heatmap;
 pub mod of_run;
 mod page;
 pub mod run;
@@ -17,6 +18,7 @@ mod table;
 
 pub use chart::{Chart, Marker};
 pub use heat::Heat;
+pub use heatmap::HeatMap;
 pub use page::Page;
 pub use series::{RunSeries, envelope};
 pub use style::{Dash, Ink, Stroke};

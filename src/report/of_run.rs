@@ -171,16 +171,16 @@ fn notes(manifest: &Manifest) -> Vec<String> {
     notes
 }
 
-/// Writes `report.html` into a run folder, and returns its path and the final table.
+/// The report of a run folder, not yet drawn.
 ///
 /// # Errors
-/// [`RunReportError`] when the folder cannot be read or the page not be written.
-pub fn write(folder: &RunFolder, steps: &[StepSummary]) -> Result<(PathBuf, Table), RunReportError> {
+/// [`RunReportError`] when the folder cannot be read.
+pub fn report(folder: &RunFolder, steps: &[StepSummary]) -> Result<RunReport, RunReportError> {
     let manifest = folder.manifest()?;
     let setup = Setup::of_run(&manifest)?;
     let (summary, published) = final_table(&setup, steps);
     let state = folder.state(&manifest).name();
-    let report = RunReport {
+    Ok(RunReport {
         title: format!("{} on {}", manifest.name, setup.rig.name),
         lead: format!(
             "Started {}, {state}; {:.1} s of samples at {} Hz, {} time.",
@@ -190,15 +190,23 @@ pub fn write(folder: &RunFolder, steps: &[StepSummary]) -> Result<(PathBuf, Tabl
             manifest.clock
         ),
         notes: notes(&manifest),
-        summary: summary.clone(),
+        summary,
         steps: steps.iter().map(StepPoint::from).collect(),
         series: series(folder)?,
         published,
         timing: manifest.timing.as_ref().map(timing_table),
         losses: loss_table(&manifest),
         configuration: manifest.configuration.clone().into_iter().collect(),
-    };
+    })
+}
+
+/// Writes `report.html` into a run folder, and returns its path and the final table.
+///
+/// # Errors
+/// [`RunReportError`] when the folder cannot be read or the page not be written.
+pub fn write(folder: &RunFolder, steps: &[StepSummary]) -> Result<(PathBuf, Table), RunReportError> {
+    let report = report(folder, steps)?;
     let path = folder.report();
     report.page()?.write(&path)?;
-    Ok((path, summary))
+    Ok((path, report.summary))
 }

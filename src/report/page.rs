@@ -90,6 +90,14 @@ impl Page {
         Ok(())
     }
 
+    /// Adds a drawing that is SVG already, over the whole width.
+    pub fn drawing(&mut self, svg: &str, caption: &str) {
+        self.add(format_args!(
+            "<figure class=\"scroll\">{svg}<figcaption>{}</figcaption></figure>\n",
+            escape(caption)
+        ));
+    }
+
     /// The whole page.
     pub fn html(&self) -> String {
         format!(

@@ -169,6 +169,18 @@ impl RunReport {
         Ok(page)
     }
 
+    /// Only what the paper draws: the command, the pseudo-resonance curves, loops, portraits and histories.
+    ///
+    /// # Errors
+    /// [`ReportError::Figure`] when a figure cannot be drawn.
+    pub fn paper_figures(&self, page: &mut Page) -> Result<(), ReportError> {
+        page.table(&self.summary);
+        self.resonance(page)?;
+        self.at_resonance(page)?;
+        self.command(page)?;
+        self.histories(page)
+    }
+
     fn top(&self) -> Option<&StepPoint> {
         let forward = self.steps.iter().any(|step| step.direction == Direction::Forward);
         let used = self.steps.iter().filter(|step| !forward || step.direction == Direction::Forward);

@@ -1,5 +1,7 @@
 //! `campaign`: many cases as one study - run them, report on them, diagnose and optimise.
 
+mod diagnose;
+mod report;
 mod run;
 
 use super::{CliError, Outcome};
@@ -18,6 +20,12 @@ pub struct Args {
 enum Command {
     /// Run every case that has no result yet.
     Run(run::Args),
+    /// Write the page with all figures, every figure as SVG, every table as CSV.
+    Report(report::Args),
+    /// Measure the results against a published table, cell by cell.
+    Compare(report::CompareArgs),
+    /// Identify the model and search for missing effects on the peaks of all cases at once.
+    Diagnose(diagnose::Args),
     /// Take the results of other folders over (shards that were run elsewhere).
     Merge(run::MergeArgs),
 }
@@ -29,6 +37,9 @@ enum Command {
 pub fn execute(args: Args) -> Result<Outcome, CliError> {
     match args.command {
         Command::Run(args) => run::execute(args),
+        Command::Report(args) => report::execute(args),
+        Command::Compare(args) => report::compare(args),
+        Command::Diagnose(args) => diagnose::execute(args),
         Command::Merge(args) => run::merge(args),
     }
 }

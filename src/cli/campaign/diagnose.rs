@@ -1,0 +1,165 @@
+//! `campaign diagnose`: what the peaks of all cells say about the model.
+
+use super::{Place, refused};
+use crate::campaign::diagnose::{Depth, Diagnosis, Odd, diagnose, odd_entries};
+use crate::campaign::fit::{Cell, Effort, cells};
+use crate::campaign::tables::{Origin, Problem, Study};
+use crate::cli::{CliError, Outcome};
+use crate::report::Table;
+use indicatif::ProgressBar;
+
+/// Identify the model and search for missing effects on peaks alone.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    place: Place,
+    /// Whose peaks: of the published table, or measured in this campaign.
+    #[arg(long = "of", value_enum, default_value = "published")]
+    origin: Of,
+    /// Only these bumpers, as in B0,B1,B2; without it those whose numbers are not assumed.
+    #[arg(long, value_delimiter = ',')]
+    bumpers: Vec<String>,
+    /// Effects that are judged on left-out gaps.
+    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u8).range(1..=30))]
+    finalists: u8,
+    /// Print one JSON object on standard output.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Of {
+    Published,
+    Measured,
+}
+
+/// Diagnoses.
+///
+/// # Errors
+/// No peaks to judge, or a model that cannot be simulated.
+pub(super) fn execute(args: Args) -> Result<Outcome, CliError> {
+    let (configuration, store) = args.place.open()?;
+    let results = match args.origin {
+        Of::Measured => store.results(&configuration).map_err(refused)?,
+        Of::Published => Vec::new(),
+    };
+    let study = Study::new(configuration, &results);
+    let (origin, scatter) = match args.origin {
+        Of::Published => (Origin::Published, [0.08; 3]),
+        // The steps of the sweep are what limits nu_R; the peaks repeat within a per cent.
+        Of::Measured => (Origin::Measured, [0.01, 0.01, 0.03]),
+    };
+    let all = cells(&study.configuration, study.of(origin));
+    if all.is_empty() {
+        return Err(CliError::failed("no peaks to diagnose"));
+    }
+    let spec = &study.configuration.spec;
+    let wanted = |cell: &&Cell| {
+        let bumper = &spec.bumper[cell.case.bumper];
+        if args.bumpers.is_empty() { !bumper.assumed } else { args.bumpers.contains(&bumper.name) }
+    };
+    let some: Vec<Cell> = all.iter().filter(wanted).cloned().collect();
+    let jobs = std::thread::available_parallelism().map_or(1, |n| n.get());
+    let depth =
+        Depth { full: Effort::FULL, first: Effort::QUICK, finalists: usize::from(args.finalists), jobs };
+    let bar = ProgressBar::new_spinner();
+    let tell = |what: &str| {
+        bar.set_message(what.to_owned());
+        bar.tick();
+    };
+    let began = std::time::Instant::now();
+    let found = diagnose(&study.configuration, &some, scatter, depth, &tell);
+    let found = found.ok_or_else(|| CliError::failed("the model of the campaign cannot be simulated"))?;
+    tell("entries that fit no trend");
+    let odd = odd_entries(&study.configuration, &all, depth.first).unwrap_or_default();
+    bar.finish_and_clear();
+    if args.json {
+        let mut object = serde_json::to_value(&found).map_err(CliError::failed)?;
+        object["odd"] = serde_json::to_value(&odd).map_err(CliError::failed)?;
+        object["choices"] = choices(&study, origin, &odd);
+        object["wall_s"] = began.elapsed().as_secs_f64().into();
+        println!("{object}");
+    } else {
+        show(&found, &odd);
+        println!("\n{}", choices_text(&study, origin, &odd));
+    }
+    Ok(Outcome::Done)
+}
+
+fn cases(odd: &[Odd]) -> Vec<String> {
+    odd.iter().filter(|odd| odd.quantity != "nu_r").map(|odd| odd.case.clone()).collect()
+}
+
+/// The robust choice of each problem, with and without the entries that fit no trend.
+fn choices(study: &Study, origin: Origin, odd: &[Odd]) -> serde_json::Value {
+    let without = cases(odd);
+    let of = |problem: Problem| {
+        serde_json::json!({
+            "problem": problem,
+            "choice": study.robust(origin, problem, &[]),
+            "without_odd_entries": study.robust(origin, problem, &without),
+        })
+    };
+    Problem::ALL.into_iter().map(of).collect()
+}
+
+fn choices_text(study: &Study, origin: Origin, odd: &[Odd]) -> String {
+    let without = cases(odd);
+    let line = |problem: Problem| {
+        let (all, sound) = (study.robust(origin, problem, &[])?, study.robust(origin, problem, &without)?);
+        let stands = if all.device == sound.device { "" } else { ": the choice stands on those entries" };
+        Some(format!(
+            "{} problem: robust choice {}, without the odd entries {}{stands}",
+            problem.name(),
+            all.device,
+            sound.device
+        ))
+    };
+    Problem::ALL.into_iter().filter_map(line).collect::<Vec<_>>().join("\n")
+}
+
+fn show(found: &Diagnosis, odd: &[Odd]) {
+    println!("verdict: {}", found.verdict);
+    if !found.effects.is_empty() {
+        println!("effects that do equally well: {}", found.effects.join(", "));
+    }
+    if !found.corrections.is_empty() {
+        println!(
+            "corrections of the observation that do equally well, none confirmed: {}",
+            found.corrections.join(", ")
+        );
+    }
+    let mut table =
+        Table::new(["", "numbers", "RMS (%)", "gap left out (%)", "mean A", "mean E", "mean nu (%)"]);
+    for rung in &found.ladder {
+        let held = rung.held_out.map_or("-".to_owned(), |held| format!("{:.1}", 100.0 * held));
+        let bias = rung.bias.map(|b| format!("{:+.1}", 100.0 * b));
+        let head = [rung.name.clone(), rung.numbers.to_string(), format!("{:.1}", 100.0 * rung.rms), held];
+        table.push(head.into_iter().chain(bias));
+    }
+    println!("\n{}", table.text());
+    if let Some(best) = found.ladder.last() {
+        let mut table = Table::new([best.name.as_str(), "value", "95 % low", "95 % high", "unit", ""]);
+        for p in &best.parameters {
+            let numbers = [p.value, p.low95, p.high95].map(|v| format!("{v:.4e}"));
+            let tested = if p.tested { "" } else { "untested" };
+            table
+                .push([p.name.clone()].into_iter().chain(numbers).chain([p.unit.clone(), tested.to_owned()]));
+        }
+        println!("{}", table.text());
+    }
+    println!("refused:");
+    found.refused.iter().for_each(|refused| println!("  {}: {}", refused.name, refused.reason));
+    println!("peaks cannot tell:");
+    found.cannot_tell.iter().for_each(|line| println!("  {line}"));
+    println!("what would settle the rest:");
+    found.next.iter().for_each(|line| println!("  {line}"));
+    println!("entries that fit no smooth trend:");
+    for odd in odd {
+        let model = 100.0 * (odd.log_error.exp() - 1.0);
+        println!(
+            "  {} {}: a model of all cells gives {model:+.0} % ({:+.1} deviations)",
+            odd.case, odd.quantity, odd.deviations
+        );
+    }
+}
