@@ -7,6 +7,8 @@ use crate::record::Record;
 use serde::Serialize;
 use serde_json::value::RawValue;
 use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::process::{Command, Output, Stdio};
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -94,6 +96,36 @@ fn row(window: &Window, measured: &[f64], model: &[f64], rate_hz: f64) -> Vec<Op
     let rms = f64::sqrt(power / f64::max(count, 1.0));
     let cell = |(sum, n): (f64, u32)| (n > 0 && rms > 0.0).then(|| (sum / f64::from(n)).sqrt() / rms);
     sums.into_iter().zip(counts).map(cell).collect()
+}
+
+/// Work that asks this program, in a process of its own, what a model lacks on a run: a search takes minutes and
+/// memory, and whatever becomes of it, the daemon goes on. `scratch` is where the model is put meanwhile.
+pub fn diagnosis(run: PathBuf, model: ModelSpec, scratch: PathBuf) -> Work {
+    Box::new(move || {
+        let text = toml::to_string(&model).map_err(|error| error.to_string())?;
+        std::fs::write(&scratch, text).map_err(|error| format!("{}: {error}", scratch.display()))?;
+        let program = std::env::current_exe().map_err(|error| error.to_string());
+        let asked = program.and_then(|program| {
+            let mut command = Command::new(program);
+            command.arg("diagnose").arg(&run).arg("--model").arg(&scratch).arg("--json").stdin(Stdio::null());
+            command.output().map_err(|error| error.to_string())
+        });
+        // Nothing is lost with it.
+        let _ = std::fs::remove_file(&scratch);
+        let output = asked?;
+        if !output.status.success() {
+            return Err(reason(&output));
+        }
+        let said = String::from_utf8_lossy(&output.stdout).trim().to_owned();
+        RawValue::from_string(said).map_err(|error| format!("the diagnosis gave no JSON: {error}"))
+    })
+}
+
+/// What a process said of its failure, in one line.
+fn reason(output: &Output) -> String {
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let words: Vec<&str> = said.split_whitespace().take(80).collect();
+    if words.is_empty() { format!("the diagnosis ended with {}", output.status) } else { words.join(" ") }
 }
 
 /// How a job stands.

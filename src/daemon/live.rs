@@ -42,6 +42,8 @@ struct Client {
     tier: usize,
     queue: mpsc::Sender<Message>,
     dropped: u32,
+    /// The past of its window could not be queued yet; what follows makes no sense without it.
+    owed: bool,
 }
 
 struct Shared {
@@ -124,7 +126,7 @@ impl Hub {
         if shared.clients.len() >= MOST_CLIENTS {
             return None;
         }
-        let mut client = Client { id, tier: tier_of(window_s), queue, dropped: 0 };
+        let mut client = Client { id, tier: tier_of(window_s), queue, dropped: 0, owed: true };
         shared.replay(&mut client);
         shared.clients.push(client);
         self.connected.store(shared.clients.len(), Ordering::Relaxed);
@@ -137,7 +139,7 @@ impl Hub {
         let shared = &mut *guard;
         if let Some(at) = shared.clients.iter().position(|client| client.id == id) {
             let mut client = shared.clients.swap_remove(at);
-            client.tier = tier_of(window_s);
+            (client.tier, client.owed) = (tier_of(window_s), true);
             shared.replay(&mut client);
             shared.clients.push(client);
         }
@@ -238,16 +240,20 @@ impl Hub {
         }
         let run = shared.run;
         let frames: Vec<Option<Vec<u8>>> = shared.tiers.iter_mut().map(|tier| tier.frame(run)).collect();
-        let Shared { clients, tiers, .. } = shared;
-        for client in clients.iter_mut() {
-            if let Some(Some(frame)) = frames.get(client.tier) {
+        let mut clients = std::mem::take(&mut shared.clients);
+        for client in &mut clients {
+            if client.owed {
+                shared.replay(client);
+                self.count(!client.owed, client);
+            } else if let Some(Some(frame)) = frames.get(client.tier) {
                 let mut own = frame.clone();
                 stamp(&mut own, client.dropped);
                 let sent = client.queue.try_send(Message::Binary(Bytes::from(own))).is_ok();
                 self.count(sent, client);
             }
         }
-        for tier in tiers {
+        shared.clients = clients;
+        for tier in &mut shared.tiers {
             tier.fresh.clear();
         }
     }
@@ -265,7 +271,7 @@ impl Shared {
         }
     }
 
-    /// Sends the past to a client.
+    /// Sends the past to a client, the newest rows included; a full queue is tried again with the next rows.
     fn replay(&self, client: &mut Client) {
         let Some(tier) = self.tiers.get(client.tier) else { return };
         let points: Vec<Point> = tier.past.iter().copied().collect();
@@ -280,8 +286,7 @@ impl Shared {
         };
         let mut frame = encode(&head, &points);
         stamp(&mut frame, client.dropped);
-        // A queue that is full already belongs to a client that reads nothing.
-        let _ = client.queue.try_send(Message::Binary(Bytes::from(frame)));
+        client.owed = client.queue.try_send(Message::Binary(Bytes::from(frame))).is_err();
     }
 }
 
@@ -378,6 +383,15 @@ mod tests {
             std::mem::forget(hub.join(5.0).expect("room").queue);
         }
         assert!(hub.join(5.0).is_none(), "more than {MOST_CLIENTS}");
+        // A client whose queue is full when it changes its window gets the past of the new one later.
+        while raw.queue.try_recv().is_ok() {}
+        for n in 0..80 {
+            hub.show(&rows(30_000 + 33 * n, 33), Meters::default());
+        }
+        hub.window(raw.id, 5.0);
+        while raw.queue.try_recv().is_ok() {}
+        hub.show(&rows(30_000 + 33 * 80, 33), Meters::default());
+        assert_eq!(head(&raw.queue.try_recv().expect("past")).0, REPLACES);
         hub.leave(raw.id);
         assert!(hub.join(5.0).is_some());
     }

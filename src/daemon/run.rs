@@ -259,7 +259,7 @@ impl Desk {
     }
 
     /// Counters of the links of the run that goes on, by name; `None` on a simulated rig.
-    pub fn links(&self) -> Option<Vec<(String, u64)>> {
+    pub fn links(&self) -> Option<Vec<(&'static str, u64)>> {
         let inner = self.lock();
         let links = inner.live.as_ref()?.links.as_ref()?;
         let (line, bus) = links.counters();
@@ -274,7 +274,7 @@ impl Desk {
             ("CAN send failures", bus.send_failures),
             ("CAN disturbances", bus.disturbed),
         ];
-        Some(named.into_iter().map(|(name, count)| (name.to_owned(), count)).collect())
+        Some(named.to_vec())
     }
 
     /// Stops what runs and waits until it has ended.

@@ -94,8 +94,8 @@ export class Curves {
       const places = [h("div", { class: "plot" }), h("div", { class: "plot" })];
       fill(this.plots, places);
       this.charts = [
-        new Plot(places[0], 230, series, { x: "frequency Hz", y: "A max  m/s²", sync: "curves" }),
-        new Plot(places[1], 230, series, { x: "frequency Hz", y: "excursion  mm", sync: "curves" }),
+        new Plot(places[0], 230, series, { x: "frequency Hz", y: "A max  m/s²", sync: "curves", zero: true }),
+        new Plot(places[1], 230, series, { x: "frequency Hz", y: "excursion  mm", sync: "curves", zero: true }),
       ];
     }
     const data = (measured: (s: Step) => number, model: (s: Step) => number) => [

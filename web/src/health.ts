@@ -31,7 +31,7 @@ export class HealthScreen {
       ["memory", `${(health.memory_bytes / 1e6).toFixed(0)} MB`], ["disk free", `${(health.disk_free_bytes / 1e9).toFixed(1)} GB`], ["runs in", health.runs_folder],
       ["live clients", String(health.clients)], ["frames sent / dropped", `${health.frames_sent} / ${health.frames_dropped}`],
       ["this page", `${this.live.up ? "connected" : "not connected"}, ${this.rate.toFixed(0)} frames/s, ${this.live.dropped} dropped`],
-      ...(health.links ?? [["CRC and CAN errors", "simulated rig: no links"] as [string, string]]).map(([name, count]): [string, string] => [name, String(count)]),
+      ...(health.links?.map(({ name, count }): [string, string] => [name, String(count)]) ?? [["CRC and CAN errors", "simulated rig: no links"] as [string, string]]),
       ...(health.journal ? [["journal", health.journal] as [string, string]] : []),
     ];
     fill(this.numbers, h("table", { class: "small" }, h("tbody", {}, rows.map(([name, value]) => h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, value))))));

@@ -57,7 +57,7 @@ export class Missing {
 
   private async diagnose(): Promise<void> {
     const id = this.select.value;
-    const started = await trying(() => post<Job<Diagnosis>>(`${run(id)}/diagnose`, {}), this.ask);
+    const started = await trying(() => post<Job<Diagnosis>>(`${run(id)}/diagnose`, { as_set_up: true }), this.ask);
     if (!started) return;
     this.ask.disabled = true;
     fill(this.effects); fill(this.shape); fill(this.trial); fill(this.rest); fill(this.ladder);
@@ -173,7 +173,7 @@ export class Missing {
     fill(place);
     new Plot(place, 200, [
       { label: "measured", colour: ink("measured"), width: 0, points: true }, { label: "model", colour: ink("model"), dash: [6, 4] }, { label: `with ${name}`, colour: ink("residual"), width: 2.2 },
-    ], { x: "frequency Hz (forward)", y: "A max  m/s²" }).set([frequencies, of(this.steps), of(plain), of(added)]);
+    ], { x: "frequency Hz (forward)", y: "A max  m/s²", zero: true }).set([frequencies, of(this.steps), of(plain), of(added)]);
   }
 
   private async add(name: string, parameters: Record<string, number>, button: HTMLButtonElement, expression?: string): Promise<void> {

@@ -14,14 +14,14 @@ export class Plot {
     series: Series[],
     options: {
       x: string; y: string; sync?: string; legend?: boolean; log?: boolean; live?: boolean;
-      range?: () => [number, number]; click?: (x: number) => void; y2?: string; time?: boolean;
+      zero?: boolean; range?: () => [number, number]; click?: (x: number) => void; y2?: string; time?: boolean;
     },
   ) {
     const text = ink("quiet");
     const grid = { stroke: ink("grid"), width: 1 };
     const font = "11px system-ui, sans-serif";
     const axis = { stroke: text, grid, ticks: grid, font, labelFont: font, labelSize: 16 };
-    const scales: uPlot.Scales = { x: { time: false, ...(options.range ? { range: options.range } : {}) }, y: options.log ? { distr: 3 } : {} };
+    const scales: uPlot.Scales = { x: { time: false, ...(options.range ? { range: options.range } : {}) }, y: options.log ? { distr: 3 } : options.zero ? { range: (_, __, high) => [0, 1.08 * (high || 1)] } : {} };
     const axes: uPlot.Axis[] = [
       { ...axis, label: options.x, size: 30 },
       { ...axis, label: options.y, size: 52 },

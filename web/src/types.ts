@@ -156,7 +156,7 @@ export interface Health {
   version: string; system: string; rig: string; up_s: number; memory_bytes: number; disk_free_bytes: number;
   runs_folder: string; ring_fill: number; clients: number; frames_dropped: number; frames_sent: number;
   stop_latency_s: number; real_time: string | null; timing: Timing | null; slips: number; lost_samples: number;
-  links: [string, number][] | null; journal: string | null;
+  links: { name: string; count: number }[] | null; journal: string | null;
 }
 
 export interface Rights { view: boolean; operate: boolean; configure: boolean }

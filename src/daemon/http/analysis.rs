@@ -2,13 +2,15 @@
 
 use super::App;
 use super::error::{ApiError, Body, Path, Problem};
+use super::gate::Caller;
 use super::runs::folder;
-use crate::daemon::analysis::{Failure, Job, failure};
+use crate::daemon::analysis::{Failure, Job, diagnosis, failure};
 use crate::model::ModelSpec;
 use crate::record::{RunFolder, RunState, read_run};
-use axum::Json;
+use axum::{Extension, Json};
 use axum::extract::State;
 use serde::Deserialize;
+use serde_json::json;
 use std::sync::Arc;
 use utoipa::ToSchema;
 
@@ -50,6 +52,25 @@ pub async fn compare(
         failure(&record, &model).map_err(|error| error.to_string())
     });
     found.await?.map(Json).map_err(ApiError::conflict)
+}
+
+/// Ask what the model lacks on a run; the answer is a job's
+#[utoipa::path(post, path = "/api/v1/runs/{id}/diagnose", tag = "analysis", request_body = Against,
+    params(("id" = String, Path)), responses(
+    (status = 200, body = Job), (status = 404, body = Problem), (status = 409, body = Problem)))]
+pub async fn diagnose(
+    State(app): State<Arc<App>>,
+    Extension(caller): Extension<Caller>,
+    Path(id): Path<String>,
+    Body(against): Body<Against>,
+) -> Result<Json<Job>, ApiError> {
+    let folder = folder(&app, &id)?;
+    let model = model(&app, &folder, &against)?;
+    let scratch = app.desk.out().join(format!(".diagnosis-{}.toml", app.unique()));
+    let job = app.jobs.ask(&id, diagnosis(folder.path().to_owned(), model, scratch));
+    let job = job.ok_or_else(|| ApiError::too_many("other diagnoses wait; ask again"))?;
+    app.desk.journal.note(&caller.who, "diagnose", json!({ "run": id, "job": job.id }));
+    Ok(Json(job))
 }
 
 /// How a diagnosis stands, and its answer

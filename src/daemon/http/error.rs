@@ -56,6 +56,12 @@ impl ApiError {
         Self::new(StatusCode::CONFLICT, "not-now", message)
     }
 
+    /// 413: the body is announced as larger than allowed.
+    pub fn too_large(limit: usize) -> Self {
+        let message = format!("the body is larger than the {limit} bytes that are allowed");
+        Self::new(StatusCode::PAYLOAD_TOO_LARGE, "too-large", message)
+    }
+
     /// 421: the host is not ours.
     pub fn misdirected(host: &str) -> Self {
         let message = format!("`{host}` is not a name of this daemon; give --host to add one");

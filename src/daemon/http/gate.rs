@@ -1,7 +1,7 @@
 //! The gate before every handler: host, origin, rate, right. One table says which right an endpoint needs;
 //! what is not in it is refused. Nothing behind the gate looks at tokens again.
 
-use super::App;
+use super::{App, LARGEST_BODY};
 use super::error::ApiError;
 use crate::daemon::access::{Right, Rights};
 use axum::extract::{ConnectInfo, MatchedPath, Request, State};
@@ -55,6 +55,7 @@ pub const ENDPOINTS: &[(&str, &str, Right)] = &[
     ("GET", "/api/v1/runs/{id}/report", Right::View),
     ("GET", "/api/v1/runs/{id}/cycles", Right::View),
     ("POST", "/api/v1/runs/{id}/compare", Right::View),
+    ("POST", "/api/v1/runs/{id}/diagnose", Right::Operate),
     ("GET", "/api/v1/jobs/{id}", Right::View),
     ("GET", "/api/v1/runs/{id}/export", Right::View),
     ("GET", "/api/v1/runs/{id}/notes", Right::View),
@@ -133,6 +134,11 @@ fn judge(app: &App, request: &Request) -> Result<Caller, ApiError> {
         && app.limiter.check_key(&peer.ip()).is_err()
     {
         return Err(ApiError::too_many("more than 1000 requests a second from one address"));
+    }
+    // One that does not say how long it is is cut off while it is read.
+    let length = text(headers, header::CONTENT_LENGTH).and_then(|length| length.parse::<u64>().ok());
+    if length.is_some_and(|length| length > LARGEST_BODY as u64) {
+        return Err(ApiError::too_large(LARGEST_BODY));
     }
     let bearer = text(headers, header::AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
     let rights = app.access.rights(bearer, cookie(headers));

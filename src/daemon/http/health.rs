@@ -11,6 +11,15 @@ use serde::Serialize;
 use std::sync::Arc;
 use utoipa::ToSchema;
 
+/// One counter.
+#[derive(Serialize, ToSchema)]
+pub struct Count {
+    /// What is counted.
+    pub name: &'static str,
+    /// How often.
+    pub count: u64,
+}
+
 /// How machine, daemon and last run do.
 #[derive(Serialize, ToSchema)]
 pub struct Health {
@@ -48,7 +57,7 @@ pub struct Health {
     /// Samples lost in the present or last run.
     pub lost_samples: u64,
     /// Counters of the links of the present run; absent on a simulated rig.
-    pub links: Option<Vec<(String, u64)>>,
+    pub links: Option<Vec<Count>>,
     /// Why the journal could not be written, if so.
     pub journal: Option<String>,
 }
@@ -89,7 +98,7 @@ pub async fn health(State(app): State<Arc<App>>) -> Json<Health> {
         timing: status.ended.map(|ended| ended.timing),
         slips,
         lost_samples,
-        links: app.desk.links(),
+        links: app.desk.links().map(|all| all.into_iter().map(|(name, count)| Count { name, count }).collect()),
         journal: app.desk.journal.failed(),
     })
 }

@@ -30,7 +30,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use tokio::sync::{Semaphore, SemaphorePermit, watch};
 use tower_http::catch_panic::CatchPanicLayer;
-use tower_http::limit::RequestBodyLimitLayer;
 use tower_http::set_header::SetResponseHeaderLayer;
 use utoipa::openapi::path::{HttpMethod, Operation, PathItem};
 use utoipa::openapi::{OpenApi, RefOr, ResponseBuilder, content::ContentBuilder, schema};
@@ -157,6 +156,7 @@ fn routes() -> OpenApiRouter<Arc<App>> {
         .routes(routes!(runs::notes, runs::write_notes))
         .routes(routes!(runs::export))
         .routes(routes!(analysis::compare))
+        .routes(routes!(analysis::diagnose))
         .routes(routes!(analysis::job))
         .routes(routes!(health::health))
         .routes(routes!(health::metrics))
@@ -229,7 +229,6 @@ pub fn router(app: Arc<App>) -> Router {
         })
         .layer(axum::middleware::from_fn_with_state(app.clone(), gate::pass))
         .layer(DefaultBodyLimit::max(LARGEST_BODY))
-        .layer(RequestBodyLimitLayer::new(LARGEST_BODY))
         .layer(CatchPanicLayer::new())
         .layer(fixed(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
         .layer(fixed(header::REFERRER_POLICY, "no-referrer"))

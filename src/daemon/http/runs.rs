@@ -115,6 +115,7 @@ pub struct Notes {
 #[into_params(parameter_in = Query)]
 pub struct Wanted {
     /// Format of the file.
+    #[param(inline)]
     format: FileFormat,
 }
 
