@@ -82,8 +82,19 @@ impl ContactLaw {
         if self.linear_n_m == 0.0 {
             return (tip - self.preload_n / self.damping_n_s_m * after_s).max(0.0);
         }
-        let rest = self.preload_n / self.linear_n_m;
-        ((tip + rest) * (-self.linear_n_m / self.damping_n_s_m * after_s).exp() - rest).max(0.0)
+        let (rest, fallen) = (self.rest_m(), self.relaxation_1_s() * after_s);
+        // What is left after eighty time constants is far below rounding.
+        if fallen > 80.0 { 0.0 } else { ((tip + rest) * (-fallen).exp() - rest).max(0.0) }
+    }
+
+    /// Rate at which a free tip of a linear law relaxes, 1/s; 0 when it stays where it is.
+    pub fn relaxation_1_s(&self) -> f64 {
+        if self.damping_n_s_m > 0.0 { self.linear_n_m / self.damping_n_s_m } else { 0.0 }
+    }
+
+    /// How far beyond its stop a tip of a linear law with preload would come back, m.
+    pub fn rest_m(&self) -> f64 {
+        if self.preload_n > 0.0 { self.preload_n / self.linear_n_m } else { 0.0 }
     }
 
     /// Rate of a free tip, m/s.

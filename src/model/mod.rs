@@ -12,6 +12,8 @@ pub mod general;
 mod keys;
 pub mod observe;
 pub mod paper;
+#[cfg(test)]
+mod physics_tests;
 pub mod scales;
 pub mod sensitivity;
 pub mod simulate;
@@ -27,7 +29,7 @@ pub use scales::Scales;
 pub use sensitivity::{Sensitivity, simulate_with_sensitivities};
 pub use simulate::{History, simulate_from, simulate_sampled};
 pub use spec::{BumperSpec, EffectSpec, IsolatorSpec, ModelSpec};
-pub use sweep::{StepPeaks, SweepResponse, simulate_sweep, sweep_history};
+pub use sweep::{StepPeaks, SweepHistory, SweepResponse, simulate_sweep, sweep_history, sweep_peaks};
 
 /// What the specimen does at one sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

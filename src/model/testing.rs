@@ -1,5 +1,9 @@
 //! Models that several tests share.
 
+/// Ends the process on any allocation or release within `assert_no_alloc`; elsewhere it allocates as usual.
+#[global_allocator]
+static ALLOCATOR: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
+
 use super::{BumperSpec, EffectSpec, IsolatorSpec, ModelSpec};
 
 /// The published model (rig: B1, gap 20 mm).

@@ -2,7 +2,9 @@
 
 use crate::cli::{CliError, Outcome};
 use crate::config::{ConfigError, builtin::find};
-use crate::model::{EffectSpec, ModelSpec, Options, build, simulate_sweep, sweep_history};
+use crate::model::{
+    EffectSpec, ModelSpec, Options, SweepHistory, build, simulate_sweep, sweep_history, sweep_peaks,
+};
 use crate::sweep::{Schedule, SweepSpec, Transition};
 use crate::units::SAMPLE_RATE_HZ;
 use std::hint::black_box;
@@ -30,14 +32,16 @@ pub fn execute(json: bool) -> Result<Outcome, CliError> {
     let mut input = Vec::new();
     simulate_sweep(&model, steps, dt, &options, &mut |_, _, a, _| input.push(a)).map_err(CliError::usage)?;
 
-    let sweep_with_histories_s = fastest(|| sweep_history(&model, steps, dt, &options).map(|r| r.1.len()))?;
-    let sweep_peaks_s =
-        fastest(|| simulate_sweep(&model, steps, dt, &options, &mut |_, _, _, _| {}).map(|r| r.samples))?;
+    let mut history = SweepHistory::default();
+    let sweep_with_histories_s =
+        fastest(|| sweep_history(&model, steps, dt, &options, &mut history).map(|r| r.samples))?;
+    let sweep_peaks_s = fastest(|| sweep_peaks(&model, steps, dt, &options).map(|r| r.samples))?;
     let sampled_s = fastest(|| {
         let mut specimen = build(&model, dt)?;
         Ok(input.iter().filter(|a| specimen.step(**a).regime.right_contact).count())
     })?;
-    let general_sweep_s = fastest(|| sweep_history(&smooth, steps, dt, &options).map(|r| r.1.len()))?;
+    let general_sweep_s =
+        fastest(|| sweep_history(&smooth, steps, dt, &options, &mut history).map(|r| r.samples))?;
     let sampled_ns_per_sample = 1e9 * sampled_s / input.len() as f64;
     if json {
         let figures = serde_json::json!({

@@ -14,10 +14,10 @@ const PATIENCE: usize = 100;
 /// Exact solver of a piecewise-linear model.
 pub struct Exact {
     /// Holds the compiled model, state and mode, and knows what follows an event.
-    core: General<2>,
-    pieces: Vec<Piece>,
+    pub(super) core: General<2>,
+    pub(super) pieces: Vec<Piece>,
     holds: Vec<Transition>,
-    dt: f64,
+    pub(super) dt: f64,
     friction: bool,
 }
 
@@ -43,7 +43,7 @@ impl Exact {
         Ok(Self { core, pieces, holds, dt, friction })
     }
 
-    fn index(&self, mode: &Mode) -> usize {
+    pub(super) fn index(&self, mode: &Mode) -> usize {
         let knees = self.core.system().knees_m.len() as i32;
         let contact = usize::from(mode.contact[0]) + 2 * usize::from(mode.contact[1]);
         let sliding = match mode.sliding {
@@ -265,10 +265,10 @@ fn pieces(system: &System) -> Vec<Piece> {
                 let stiffness = slope + (right + left) * bumper.linear_n_m;
                 let damping = system.damping_n_s_m + (right + left) * bumper.damping_n_s_m;
                 let mut constant = intercept + system.constant_n + sign * sliding;
-                if contact & 1 != 0 {
+                if contact & 1 != 0 && system.has_bumper {
                     constant += bumper.preload_n - bumper.linear_n_m * system.gap_right_m;
                 }
-                if contact >> 1 != 0 {
+                if contact >> 1 != 0 && system.has_bumper {
                     constant -= bumper.preload_n - bumper.linear_n_m * system.gap_left_m;
                 }
                 let free = contact == 0;

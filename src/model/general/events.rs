@@ -168,7 +168,7 @@ fn root(index: usize, above: (f64, f64), below: (f64, f64), values: &mut impl Fn
     let ((mut a, mut fa), (mut b, mut fb)) = (above, below);
     let mut side = 0_i8;
     for round in 0..200 {
-        if (b - a).abs() <= 4.0 * f64::EPSILON || fa <= 0.0 {
+        if (b - a).abs() <= 4.0 * f64::EPSILON {
             break;
         }
         let secant = a + (b - a) * fa / (fa - fb);
@@ -189,4 +189,33 @@ fn root(index: usize, above: (f64, f64), below: (f64, f64), values: &mut impl Fn
         }
     }
     b
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_root_is_found_to_the_last_bits() {
+        let (d, v, a, h) = (7.484165605880424e-3, 0.07032790371541355, 0.115, 1.0 / 2048.0);
+        let gap = |part: f64| 0.0075 - (d + v * h * part + 0.5 * a * (h * part) * (h * part));
+        let values = |part: f64| {
+            let mut g = [f64::INFINITY; GUARDS];
+            g[guard::RIGHT] = gap(part);
+            g
+        };
+        let (start, end) = (values(0.0), values(1.0));
+        let (index, part) = first_failure(&start, &end, &[false; GUARDS], values).expect("fails");
+        assert_eq!(index, guard::RIGHT);
+        assert!(gap(part).abs() < 2e-18, "{} {}", part, gap(part));
+        // A tip that has all but come back: the guard is above zero by next to nothing.
+        let hardly = |part: f64| {
+            let mut g = [f64::INFINITY; GUARDS];
+            g[guard::RIGHT] = gap(part) + 1.5e-320;
+            g
+        };
+        let (start, end) = (hardly(0.0), hardly(1.0));
+        let (_, again) = first_failure(&start, &end, &[false; GUARDS], hardly).expect("fails");
+        assert!((again - part).abs() < 1e-13, "{part} {again}");
+    }
 }

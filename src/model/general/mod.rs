@@ -15,6 +15,7 @@ mod specimen;
 mod tests;
 
 pub use dynamics::{Drive, Line, Mode, Motion, Sine, Sliding};
+pub(in crate::model) use events::guard;
 pub use specimen::General;
 
 use super::system::System;
@@ -24,8 +25,8 @@ use super::{ModelError, Options, Response, Specimen};
 const LARGEST: usize = 48;
 
 /// Begin and end of an accepted step (s since the start of the stretch), contacts, and the response
-/// at any part of it.
-pub type StretchVisit<'a> = dyn FnMut(f64, f64, [bool; 2], &dyn Fn(f64) -> Response) + 'a;
+/// at any part of it under the table acceleration there (m/s2).
+pub type StretchVisit<'a> = dyn FnMut(f64, f64, [bool; 2], &dyn Fn(f64, f64) -> Response) + 'a;
 
 /// A solver that an ideal sweep can drive, whatever the number of its states.
 pub trait Sweepable: Specimen {

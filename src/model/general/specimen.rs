@@ -264,8 +264,8 @@ impl<const N: usize> General<N> {
             self.mode.tips[side] = Tip { deformation_m: p.max(0.0), since_s: self.time_s + t };
             return;
         }
-        // The gap closes only if the mass is faster than the tip; else the two move on together.
-        if rate > 0.0 && self.system.bumper.force_n(p, rate) >= 0.0 {
+        // The gap closes when the mass presses in, or comes back more slowly than the tip.
+        if rate >= 0.0 || self.system.bumper.force_n(p, rate) > 0.0 {
             self.mode.contact[side] = true;
         } else {
             self.mode.tips[side] = Tip { deformation_m: p.max(0.0), since_s: self.time_s + t };
@@ -392,11 +392,6 @@ impl<const N: usize> General<N> {
         self.y = y;
         self.switch(guard, t, drive, Motion::Free);
     }
-
-    /// Forces of a state within a step, at a time since the beginning of the stretch.
-    pub fn forces_at<D: Drive>(&self, t: f64, y: &[f64; N], drive: D) -> Forces {
-        self.system.rates((self.time_s + t, drive.at(t)), y, &self.mode, &self.layout, None).1
-    }
 }
 
 fn imposed(motion: Motion, t: f64) -> Option<f64> {
@@ -473,9 +468,9 @@ impl<const N: usize> Specimen for General<N> {
 impl<const N: usize> Sweepable for General<N> {
     fn stretch(&mut self, duration: f64, drive: Sine, visit: &mut StretchVisit<'_>) {
         self.advance(duration, drive, Motion::Free, &mut |solver, begin, end, step| {
-            let state = |part: f64| {
-                let y = step.at(part);
-                let forces = solver.forces_at(begin + part * (end - begin), &y, drive);
+            let state = |part: f64, table: f64| {
+                let (y, time_s) = (step.at(part), solver.time_s + begin + part * (end - begin));
+                let forces = solver.system.rates((time_s, table), &y, &solver.mode, &solver.layout, None).1;
                 solver.response_of(&y, &forces)
             };
             visit(begin, end, solver.mode.contact, &state);
