@@ -1,8 +1,8 @@
 //! What the control thread tells the rest beside the rows: slips, gaps, faults, finished steps.
 
-use super::guard::Cause;
 use super::timing::Phase;
 use crate::rig::RigFault;
+use crate::safety::{self, DetectorId};
 use crate::sweep::Direction;
 use serde::{Deserialize, Serialize};
 
@@ -116,8 +116,33 @@ pub enum Event {
         cycle: u64,
         /// Number of the last sample before.
         sequence: u64,
-        /// Which limit.
-        cause: Cause,
+        /// The detector that tripped first.
+        cause: DetectorId,
+    },
+    /// A detector has tripped or warns.
+    Finding {
+        /// Cycle in which it showed.
+        cycle: u64,
+        /// Which.
+        detector: DetectorId,
+        /// Tripped, not only warned.
+        tripped: bool,
+        /// Its indicator, in the detector's unit.
+        value: f64,
+    },
+    /// The supervisor has gone over to another state.
+    Supervisor {
+        /// Cycle.
+        cycle: u64,
+        /// The new state.
+        state: safety::State,
+    },
+    /// What an operator asked for was refused.
+    Refused {
+        /// Cycle.
+        cycle: u64,
+        /// Why.
+        reason: safety::Refusal,
     },
     /// What the operator's side asked for is in force from this cycle on.
     Obeyed {

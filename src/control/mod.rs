@@ -3,13 +3,11 @@
 pub mod chain;
 pub mod clock;
 pub mod event;
-pub mod guard;
 mod onboard;
 mod reference;
 pub mod session;
 pub mod setup;
 pub mod step;
-pub mod stop;
 pub mod thread;
 pub mod timing;
 

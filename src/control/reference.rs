@@ -1,7 +1,7 @@
 //! Which command belongs to which sample. The control step writes one command a period; samples may
 //! come late, in bursts, or number from anywhere, and each must still be told its own step and phase.
 
-use crate::sweep::{CommandPoint, Generator};
+use crate::sweep::CommandPoint;
 
 /// Periods that are remembered; a sample later than this is taken for the oldest one.
 const REMEMBERED: u64 = 1024;
@@ -34,15 +34,12 @@ impl References {
         self.points[(self.periods.saturating_sub(1) % REMEMBERED) as usize]
     }
 
-    /// Periods that went by without a command: the generator goes on, so that the phase is kept.
-    pub fn skip(&mut self, periods: u64, generator: &mut Generator) {
+    /// Periods that went by without a command, of which only so many are remembered; the caller lets the
+    /// command go on by as many and then pushes those that are remembered.
+    pub fn forget(&mut self, periods: u64) -> u64 {
         let forgotten = periods.saturating_sub(REMEMBERED);
-        generator.skip(forgotten);
         self.periods += forgotten;
-        for _ in forgotten..periods {
-            let point = generator.next_point();
-            self.push(point);
-        }
+        forgotten
     }
 
     /// The command in force when the sample with this number was taken.

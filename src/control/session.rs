@@ -11,6 +11,7 @@ use crate::model::Specimen;
 use crate::record::recorder::{Notice, Recorded, Recorder};
 use crate::record::{Manifest, RunError, RunFolder};
 use crate::rig::Rig;
+use crate::safety::{Guard, Watchdog};
 use crate::stream::{Depths, OperatorEnd, ViewEnd, split};
 use crate::sweep::Generator;
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
@@ -65,6 +66,8 @@ pub struct Plan {
     pub generator: Generator,
     /// The onboard model, made for one step a sample period.
     pub model: Box<dyn Specimen>,
+    /// Detectors, supervisor and stops; `None` for a replayed record.
+    pub guard: Option<Guard>,
     /// How time passes.
     pub pace: Pace,
     /// Depths of the rings.
@@ -126,8 +129,14 @@ pub fn start(plan: Plan) -> Result<Session, SessionError> {
     let rate = manifest.sample_rate_hz;
     let (tell, notices) = unbounded();
     let recorder = spawn_recorder(Recorder::create(&folder, recorder_end, rate, tell)?)?;
-    let parts =
-        Parts { rig: plan.rig, generator: plan.generator, model: plan.model, end, sample_rate_hz: rate };
+    let parts = Parts {
+        rig: plan.rig,
+        generator: plan.generator,
+        model: plan.model,
+        guard: plan.guard,
+        end,
+        sample_rate_hz: rate,
+    };
     let (ready, readiness) = bounded(1);
     let control = spawn_control(parts, plan.pace, recorder.thread().clone(), ready)?;
     match readiness.recv() {
@@ -160,6 +169,8 @@ fn spawn_control(
     ready: Sender<Option<RealTime>>,
 ) -> Result<JoinHandle<(Ending, TimingReport)>, SessionError> {
     let rate = parts.sample_rate_hz;
+    let line = parts.rig.stop_line().filter(|_| parts.guard.is_some());
+    let timeout = parts.guard.as_ref().map_or(Duration::ZERO, Guard::watchdog);
     std::thread::Builder::new()
         .name("control".into())
         .spawn(move || {
@@ -174,7 +185,10 @@ fn spawn_control(
                     let state = set_up(cpu);
                     let refuse = require_realtime && !state.complete();
                     let _ = ready.send(Some(state));
-                    let result = if refuse {
+                    let watched = line.map(|line| Watchdog::start(controller.heart(), line, timeout));
+                    // Without the thread that would watch it the table is not moved.
+                    let unwatched = matches!(watched, Some(Err(_)));
+                    let result = if refuse || unwatched {
                         (Ending::Failed, TimingReport::default())
                     } else {
                         run_wall(controller, rate)

@@ -9,10 +9,11 @@ use crate::model::observe::Instruments;
 use crate::model::system::System;
 use crate::model::{ModelError, ModelSpec, Observer, Specimen, build, paper};
 use crate::record::Manifest;
-use crate::rig::RigSpec;
 use crate::rig::hardware::{HardwareError, HardwareMonitor, HardwareRig, HardwareSpec, Preflight};
 use crate::rig::replay::ReplayRig;
 use crate::rig::simulated::{FaultSwitches, SimulatedRig, chain_delay_s, specimen_step_s};
+use crate::rig::{Rig, RigSpec};
+use crate::safety::{self, Guard, SafetySpec};
 use crate::stream::{Depths, Sample};
 use crate::sweep::{Generator, Preview, Schedule, SweepError, SweepSpec, Transition};
 use serde::Serialize;
@@ -118,6 +119,20 @@ impl Setup {
         Ok(rig.with_instruments(Observer::from_instruments(system.instruments, step_s)))
     }
 
+    /// Detectors, supervisor and stops for this rig and specimen, by the built-in `safety.toml`.
+    ///
+    /// # Errors
+    /// [`SetupError::Text`] when that is broken.
+    pub fn guard(&self, chain_delay_s: f64) -> Result<Guard, SetupError> {
+        Ok(self.guard_by(&safety_spec()?, chain_delay_s))
+    }
+
+    /// The same by a safety file of one's own.
+    pub fn guard_by(&self, spec: &SafetySpec, chain_delay_s: f64) -> Guard {
+        let rate = self.rig.sample_rate_hz;
+        Guard::new(spec, &safety::Setup::new(rate, chain_delay_s, self.rig.capacity(), &self.model))
+    }
+
     /// What `run.toml` says at the start.
     ///
     /// # Errors
@@ -134,6 +149,7 @@ impl Setup {
         manifest.configure("sweep", text("sweep", &self.sweep)?);
         manifest.configure("model", text("model", &self.model)?);
         manifest.configure("specimen", text("specimen", &self.specimen)?);
+        manifest.configure("safety", text("safety", &safety_spec()?)?);
         Ok(manifest)
     }
 
@@ -169,6 +185,7 @@ impl Setup {
             rig: Box::new(ReplayRig::new(samples, delay_s)),
             generator: Generator::new(&self.schedule()?, self.rig.sample_rate_hz),
             model: self.onboard_model()?,
+            guard: Some(self.guard(delay_s)?),
             pace: Pace::Virtual,
             depths: Depths::for_rate(self.rig.sample_rate_hz),
         })
@@ -181,13 +198,14 @@ impl Setup {
     pub fn plan(&self, out: &Path, pace: Pace) -> Result<(Plan, FaultSwitches), SetupError> {
         self.preview()?.check()?;
         let rig = self.simulated_rig()?;
-        let faults = rig.faults();
+        let (faults, delay_s) = (rig.faults(), rig.chain_delay_s());
         let plan = Plan {
             out: out.to_owned(),
             manifest: self.manifest(pace)?,
             rig: Box::new(rig),
             generator: Generator::new(&self.schedule()?, self.rig.sample_rate_hz),
             model: self.onboard_model()?,
+            guard: Some(self.guard(delay_s)?),
             pace,
             depths: Depths::for_rate(self.rig.sample_rate_hz),
         };
@@ -227,16 +245,22 @@ impl Setup {
     ) -> Result<Plan, SetupError> {
         let mut manifest = self.manifest(pace)?;
         manifest.configure("preflight", text("preflight", preflight)?);
+        let delay_s = rig.chain_delay_s();
         Ok(Plan {
             out: out.to_owned(),
             manifest,
             rig: Box::new(rig),
             generator: Generator::new(&self.schedule()?, self.rig.sample_rate_hz),
             model: self.onboard_model()?,
+            guard: Some(self.guard(delay_s)?),
             pace,
             depths: Depths::for_rate(self.rig.sample_rate_hz),
         })
     }
+}
+
+fn safety_spec() -> Result<SafetySpec, SetupError> {
+    SafetySpec::built_in().map_err(|error| SetupError::Text { role: "safety", reason: error.to_string() })
 }
 
 /// The published model of a case.

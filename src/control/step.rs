@@ -1,18 +1,27 @@
 //! The control step: acquire, condition, predict, watch, decide, command, publish. It owns all it
-//! touches, talks to the rest through rings only, and neither allocates, frees, locks, logs nor waits.
+//! touches, talks to the rest through rings only, and neither allocates, frees, locks, logs nor waits (SR-16).
 //! Called by the control thread (wall time) or by the loop of virtual time, once a tick.
 
 use super::chain::{Chain, Conditioned};
 use super::clock::{Tick, now_ns};
 use super::event::{Ending, Event};
-use super::guard::{Cause, Guard};
 use super::reference::References;
-use super::stop::StopTrajectory;
 use super::timing::{Phase, StepTimes, Timing, TimingReport};
 use crate::model::{Response, Specimen};
 use crate::rig::{Rig, RigFault};
+use crate::safety::{Ask, DetectorId, Guard, Heart, Observation, Outcome, Period, State};
 use crate::stream::{Command, ControlEnd, Row, Sample};
 use crate::sweep::{CommandPoint, Generator, Segment};
+
+impl From<Outcome> for Ending {
+    fn from(outcome: Outcome) -> Self {
+        match outcome {
+            Outcome::Done => Self::Done,
+            Outcome::Stopped => Self::Stopped,
+            Outcome::Aborted => Self::Aborted,
+        }
+    }
+}
 
 /// Samples that one step can take; more stay with the rig until the next one.
 const MOST_SAMPLES: usize = 4096;
@@ -32,6 +41,14 @@ pub enum Request {
     Resume,
     /// Bring the table to rest and end.
     Stop,
+    /// Acknowledge and reset, for a run that begins on request.
+    Reset,
+    /// Arm where the table is measured to be.
+    Arm,
+    /// Start the sweep.
+    Start,
+    /// A sign of life of the operator's side.
+    Alive,
 }
 
 /// What a controller is made of.
@@ -42,6 +59,8 @@ pub struct Parts {
     pub generator: Generator,
     /// The onboard model, made for one step a sample period.
     pub model: Box<dyn Specimen>,
+    /// Detectors, supervisor and stops; `None` for a replayed record, which moves nothing.
+    pub guard: Option<Guard>,
     /// The control thread's end of the rings.
     pub end: ControlEnd<Event, Request>,
     /// Sampling and control rate, Hz.
@@ -57,10 +76,13 @@ pub struct Controller {
     chain: Chain,
     references: References,
     rows: Vec<Row>,
-    guard: Guard,
-    stop: Option<(StopTrajectory, Ending)>,
-    acceleration_limit_m_s2: f64,
-    sample_rate_hz: f64,
+    guard: Option<Guard>,
+    heart: Heart,
+    told: Option<State>,
+    told_cause: Option<DetectorId>,
+    skipped: u64,
+    rig_fault: Option<RigFault>,
+    record_depth: usize,
     timing: Timing,
     times: StepTimes,
     last_times: StepTimes,
@@ -70,7 +92,6 @@ pub struct Controller {
     last_fault: Option<RigFault>,
     tail: u64,
     ending: Option<Ending>,
-    tripped: Option<Cause>,
     now: Instant,
 }
 
@@ -93,16 +114,17 @@ impl Controller {
             segment: Segment::StartRamp,
         };
         let schedule = parts.generator.schedule();
-        let amplitude = |step: &crate::sweep::Step| step.acceleration_amplitude_m_s2;
-        let acceleration_limit_m_s2 = schedule.steps().iter().map(amplitude).fold(0.0, f64::max);
         let chain = Chain::new(parts.sample_rate_hz, schedule);
-        let guard = Guard::new(parts.rig.chain_delay_s(), parts.sample_rate_hz);
+        let record_depth = parts.end.record_room().max(1);
         Self {
             chain,
-            guard,
-            stop: None,
-            acceleration_limit_m_s2,
-            sample_rate_hz: parts.sample_rate_hz,
+            guard: parts.guard,
+            heart: Heart::default(),
+            told: None,
+            told_cause: None,
+            skipped: 0,
+            rig_fault: None,
+            record_depth,
             rig: parts.rig,
             generator: parts.generator,
             model: parts.model,
@@ -118,7 +140,6 @@ impl Controller {
             last_fault: None,
             tail: 0,
             ending: None,
-            tripped: None,
             now: Instant {
                 sample: Sample::default(),
                 reference: rest,
@@ -128,17 +149,22 @@ impl Controller {
         }
     }
 
+    /// The heartbeat of this controller, for a watchdog.
+    pub fn heart(&self) -> Heart {
+        self.heart.clone()
+    }
+
     /// One control period. Returns how the run ended, once it has.
     pub fn step(&mut self, tick: Tick) -> Option<Ending> {
+        self.heart.beat();
         self.begin(tick);
         while self.acquire() {
             self.condition();
             self.predict();
             self.watch();
-            self.decide();
             self.keep();
         }
-        self.miss(tick.periods);
+        self.decide();
         self.command();
         self.publish();
         self.finish(tick)
@@ -152,6 +178,21 @@ impl Controller {
     /// The newest command.
     pub fn last_command(&self) -> Command {
         self.references.last().command
+    }
+
+    /// The newest command and where in the sweep it stands.
+    pub fn last_point(&self) -> CommandPoint {
+        self.references.last()
+    }
+
+    /// The detector that tripped first, if one did.
+    pub fn cause(&self) -> Option<DetectorId> {
+        self.guard.as_ref().and_then(Guard::cause)
+    }
+
+    /// State of the supervisor; `None` without one.
+    pub fn state(&self) -> Option<State> {
+        self.guard.as_ref().map(Guard::state)
     }
 
     /// Timing so far.
@@ -171,16 +212,13 @@ impl Controller {
         self.times = StepTimes::default();
         self.times.add(Phase::WakeUp, tick.latency_ns);
         let skipped = tick.periods - 1;
+        self.skipped = skipped;
         if skipped > 0 {
             self.timing.slip(skipped);
             let phase = if tick.overslept_by_work { self.last_times.longest() } else { Phase::WakeUp };
             let late_us = tick.latency_ns as f64 / 1e3;
             self.end.event(Event::Slip { cycle: self.cycle, periods: skipped, late_us, phase });
-            if self.stop.is_some() {
-                self.skip_stopping(skipped);
-            } else {
-                self.references.skip(skipped, &mut self.generator);
-            }
+            self.skip(skipped);
             self.cycle += skipped;
         }
         for _ in 0..tick.periods {
@@ -189,9 +227,14 @@ impl Controller {
         self.lap(Phase::Simulate);
     }
 
-    /// Skipped periods of a stop, which lasts 3 s at most.
-    fn skip_stopping(&mut self, periods: u64) {
-        for _ in 0..periods.min(3 * self.sample_rate_hz as u64) {
+    /// Periods without a command: sweep or stop go on, so that the phase is kept.
+    fn skip(&mut self, periods: u64) {
+        let forgotten = self.references.forget(periods);
+        match &mut self.guard {
+            Some(guard) => guard.skip(forgotten, &mut self.generator),
+            None => self.generator.skip(forgotten),
+        }
+        for _ in forgotten..periods {
             let point = self.next_point();
             self.references.push(point);
         }
@@ -252,16 +295,47 @@ impl Controller {
 
     /// Shows the sample to the detectors.
     fn watch(&mut self) {
-        self.tripped = self.guard.look(&self.now.sample, &self.now.reference);
+        let Instant { sample, reference, response, .. } = self.now;
+        if let Some(guard) = &mut self.guard {
+            guard.observe(&Observation { sample, reference, response });
+        }
         self.lap(Phase::Watch);
     }
 
-    /// Ends the run when a limit was exceeded; the first cause stays.
+    /// Lets the supervisor decide which command is in force from this period on (SR-09).
     fn decide(&mut self) {
-        if let Some(cause) = self.tripped.take() {
-            self.abort(cause);
+        let free = self.end.record_room() as f64 / self.record_depth as f64;
+        let period = Period {
+            samples: self.rows.len() as u32,
+            skipped: self.skipped,
+            recorder_used: 1.0 - free,
+            link_age_s: None,
+            rig_fault: self.rig_fault.take(),
+        };
+        if let Some(guard) = &mut self.guard {
+            guard.decide(&period, &mut self.generator);
         }
+        self.tell();
         self.lap(Phase::Decide);
+    }
+
+    /// Tells what the detectors found and how the supervisor stands.
+    fn tell(&mut self) {
+        let Some(guard) = &mut self.guard else { return };
+        let (cycle, sequence) = (self.cycle, self.now.sample.sequence);
+        while let Some((detector, tripped)) = guard.news() {
+            let value = guard.watch().reading(detector).value;
+            self.end.event(Event::Finding { cycle, detector, tripped, value });
+        }
+        let cause = guard.cause();
+        if let Some(cause) = cause.filter(|_| self.told_cause.is_none()) {
+            self.end.event(Event::Abort { cycle, sequence, cause });
+        }
+        self.told_cause = cause;
+        let state = guard.state();
+        if self.told.replace(state) != Some(state) {
+            self.end.event(Event::Supervisor { cycle, state });
+        }
     }
 
     /// Keeps the row of this sample for publishing.
@@ -273,7 +347,7 @@ impl Controller {
             model_displacement_m: self.now.response.relative_displacement_m,
             model_acceleration_m_s2: self.now.response.mass_acceleration_m_s2,
             model_regime: self.now.response.regime,
-            supervisor_state: 0,
+            supervisor_state: self.guard.as_ref().map_or(0, |guard| guard.state() as u8),
             lost_before: 0,
         });
     }
@@ -282,12 +356,16 @@ impl Controller {
     fn command(&mut self) {
         let mut obeyed = None;
         while let Some(request) = self.end.request() {
-            self.obey(request);
-            obeyed = Some(request);
+            obeyed = self.obey(request).then_some(request).or(obeyed);
         }
+        self.tell();
         let point = self.next_point();
         self.references.push(point);
-        if let Err(fault) = self.rig.write(&point.command) {
+        if self.guard.as_ref().is_some_and(Guard::wants_quick_stop) {
+            self.rig.quick_stop();
+        }
+        let commands = self.guard.as_ref().is_none_or(Guard::commands);
+        if commands && let Err(fault) = self.rig.write(&point.command) {
             self.fault(fault);
         }
         if let Some(request) = obeyed {
@@ -314,16 +392,14 @@ impl Controller {
             let error = self.chain.live_error();
             self.end.event(Event::Live { cycle: self.cycle, error });
         }
-        if let Some((trajectory, ending)) = &self.stop {
-            let ending = *ending;
-            self.tail += u64::from(trajectory.is_done());
-            if self.tail > TAIL_PERIODS {
-                self.end_run(ending);
-            }
-        } else if self.ending.is_none() && self.generator.is_done() {
+        let outcome = match &self.guard {
+            Some(guard) => guard.outcome(),
+            None => self.generator.is_done().then_some(Outcome::Done),
+        };
+        if let Some(outcome) = outcome {
             self.tail += 1;
             if self.tail > TAIL_PERIODS {
-                self.end_run(Ending::Done);
+                self.end_run(outcome.into());
             }
         }
         self.ending
@@ -337,62 +413,49 @@ impl Controller {
         }
     }
 
-    fn obey(&mut self, request: Request) {
+    /// Does what was asked, or tells why not.
+    fn obey(&mut self, request: Request) -> bool {
+        let Some(guard) = &mut self.guard else {
+            self.obey_unguarded(request);
+            return true;
+        };
+        let ask = match request {
+            Request::Hold => Ask::Hold,
+            Request::Resume => Ask::Resume,
+            Request::Stop => Ask::Stop,
+            Request::Reset => Ask::Reset,
+            Request::Arm => Ask::Arm,
+            Request::Start => Ask::Start,
+            Request::Alive => Ask::Alive,
+        };
+        let outcome = guard.ask(ask, &mut self.generator);
+        if let Err(reason) = outcome {
+            self.end.event(Event::Refused { cycle: self.cycle, reason });
+        }
+        outcome.is_ok()
+    }
+
+    /// A replayed record can be held up and left, nothing else.
+    fn obey_unguarded(&mut self, request: Request) {
         match request {
             Request::Hold => self.generator.hold_at_step_end(),
             Request::Resume => self.generator.resume(),
-            Request::Stop => self.begin_stop(Ending::Stopped),
+            Request::Stop => self.end_run(Ending::Stopped),
+            Request::Reset | Request::Arm | Request::Start | Request::Alive => {}
         }
     }
 
-    /// Periods without any sample are watched as well.
-    fn miss(&mut self, periods: u64) {
-        if self.rows.is_empty()
-            && let Some(cause) = self.guard.silence(periods)
-        {
-            self.abort(cause);
-        }
-    }
-
-    /// The command of this period: the sweep's, or that of the stop which has begun.
+    /// The command of this period: the sweep's, or what the supervisor has put in its place.
     fn next_point(&mut self) -> CommandPoint {
-        match &mut self.stop {
-            Some((trajectory, _)) => CommandPoint {
-                command: trajectory.next_command(),
-                jerk_m_s3: 0.0,
-                phase: None,
-                segment: Segment::Done,
-            },
+        match &mut self.guard {
+            Some(guard) => guard.next_point(&mut self.generator),
             None => self.generator.next_point(),
-        }
-    }
-
-    /// Stops the table from where its command is now; a stop that has begun goes on.
-    fn begin_stop(&mut self, ending: Ending) {
-        if self.stop.is_none() && self.ending.is_none() {
-            let from = self.references.last().command;
-            let trajectory = StopTrajectory::new(from, self.acceleration_limit_m_s2, self.sample_rate_hz);
-            self.stop = Some((trajectory, ending));
-        }
-    }
-
-    fn abort(&mut self, cause: Cause) {
-        if matches!(self.stop, Some((_, Ending::Aborted))) || self.ending.is_some() {
-            return;
-        }
-        self.end.event(Event::Abort { cycle: self.cycle, sequence: self.now.sample.sequence, cause });
-        self.begin_stop(Ending::Aborted);
-        if let Some((_, ending)) = &mut self.stop {
-            *ending = Ending::Aborted;
-        }
-        // A drive that is down or out of reach must stop by itself as well.
-        if cause == Cause::DeviceStatus {
-            self.rig.quick_stop();
         }
     }
 
     /// Tells a fault of the rig once, until it is gone.
     fn fault(&mut self, fault: RigFault) {
+        self.rig_fault = Some(fault);
         if fault == RigFault::EndOfRecord {
             self.end_run(Ending::Done);
         } else if self.last_fault != Some(fault) {

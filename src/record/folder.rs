@@ -278,6 +278,11 @@ impl RunFolder {
         [".reserve-stop", ".reserve-end"].map(|name| self.path.join(name))
     }
 
+    /// `first-out.h5`: all channels around the cause of an abort.
+    pub fn first_out(&self) -> PathBuf {
+        self.path.join("first-out.h5")
+    }
+
     /// `report.html`.
     pub fn report(&self) -> PathBuf {
         self.path.join("report.html")

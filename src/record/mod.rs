@@ -2,6 +2,7 @@
 
 pub mod chain;
 pub mod data;
+mod first_out;
 pub mod folder;
 mod kinematic;
 pub mod quality;

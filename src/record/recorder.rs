@@ -3,10 +3,11 @@
 //! DAQ that skipped numbers, a disk that refuses.
 
 use super::chain::LINK_ROWS;
+use super::first_out::FirstOut;
 use super::folder::{LossReport, RunError, RunFolder, io};
 use super::samples::{SampleWriter, chunk_rows};
 use crate::control::event::{Ending, Event, Nrmse, StepSummary};
-use crate::control::guard::Cause;
+use crate::safety::DetectorId;
 use crate::stream::{RecorderEnd, Row};
 use crossbeam::channel::Sender;
 use std::fs::File;
@@ -47,7 +48,7 @@ pub struct Recorded {
     /// Onboard model against measurement over all counted cycles.
     pub model_error: Nrmse,
     /// First-out cause of an abort.
-    pub cause: Option<Cause>,
+    pub cause: Option<DetectorId>,
     /// First error in writing.
     pub error: Option<String>,
 }
@@ -69,6 +70,7 @@ pub struct Recorder {
     unwritten: Option<(Option<u64>, u64, u64)>,
     marked_lost: u64,
     daq_lost: u64,
+    first_out: FirstOut,
     result: Recorded,
 }
 
@@ -135,6 +137,7 @@ impl Recorder {
             unwritten: None,
             marked_lost: 0,
             daq_lost: 0,
+            first_out: FirstOut::new(folder.first_out(), sample_rate_hz),
             result: Recorded::default(),
         };
         let head = writeln!(recorder.steps, "{STEPS_HEAD}").and_then(|()| recorder.steps.flush());
@@ -251,6 +254,8 @@ impl Recorder {
                 self.note(Err(error));
             }
         }
+        let kept = self.first_out.take(rows);
+        self.note(kept.map_err(|error| format!("first-out.h5: {error}")));
         if let Some(last) = rows.last() {
             let _ = self.notices.try_send(Notice::Row(*last));
         }
@@ -332,7 +337,8 @@ impl Recorder {
                     self.note(outcome.map_err(|error| format!("steps.csv: {error}")));
                     self.result.steps.push(step);
                 }
-                Event::Abort { cause, .. } => {
+                Event::Abort { cause, sequence, .. } => {
+                    self.first_out.trip(sequence);
                     self.result.cause.get_or_insert(cause);
                 }
                 Event::End { ending, error, .. } => {
@@ -349,6 +355,8 @@ impl Recorder {
         self.reserves = [None, None];
         self.take_events();
         self.tell_unwritten(None);
+        let kept = self.first_out.finish();
+        self.note(kept.map_err(|error| format!("first-out.h5: {error}")));
         let losses = self.end.losses();
         let unmarked = losses.record.saturating_sub(self.marked_lost);
         if unmarked > 0 {

@@ -40,6 +40,7 @@ pub fn replay_steps(setup: &Setup, samples: Vec<Sample>) -> Result<(Vec<StepSumm
         rig: plan.rig,
         generator: plan.generator,
         model: plan.model,
+        guard: plan.guard,
         end,
         sample_rate_hz: rate,
     });

@@ -10,6 +10,7 @@ pub mod spec;
 
 pub use spec::{Capacity, RigSpec, Tolerances};
 
+use crate::safety::StopLine;
 use crate::stream::{Command, Sample};
 
 /// Why a rig refused or lost something.
@@ -49,6 +50,12 @@ pub trait Rig: Send {
     /// Steps of virtual time: a simulated or replayed rig advances by one sample period.
     /// A real rig, which advances by itself, does nothing.
     fn advance(&mut self) {}
+
+    /// The line that makes the drive stop by itself, for a watchdog beside the control thread; `None` where
+    /// the drive has its own time-outs only.
+    fn stop_line(&self) -> Option<StopLine> {
+        None
+    }
 
     /// Delay from a command to its effect in the measured table motion, s, as far as it is known.
     fn chain_delay_s(&self) -> f64;

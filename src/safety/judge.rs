@@ -1,5 +1,5 @@
 //! From an indicator to a finding: thresholds, persistence, high-water mark, clear condition. The same
-//! for every detector, so that a detector only computes its indicator.
+//! for every detector, so that a detector only computes its indicator (SR-10).
 
 use super::action::Clear;
 use super::spec::Row;
@@ -140,6 +140,7 @@ mod tests {
         values.iter().map(level).collect()
     }
 
+    // SR-10
     #[test]
     fn persistence_counts_estimates_in_a_row() {
         use Level::{Quiet, Trip, Warn};

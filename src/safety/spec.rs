@@ -45,6 +45,8 @@ macro_rules! detectors {
             pub detection: Detection,
             /// Numbers of the stops.
             pub stops: Stops,
+            /// Times of the supervisor.
+            pub supervision: Supervision,
             $($(#[doc = $doc])* pub $field: Row,)*
         }
 
@@ -179,10 +181,20 @@ pub struct Stops {
     pub return_acceleration_m_s2: f64,
     /// Distance from the centre within which no return is needed, m.
     pub centre_tolerance_m: f64,
+}
+
+/// Times of the supervisor, and who else is listened to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Supervision {
     /// Time after which an armed table that is not started is disarmed, s.
     pub armed_for_s: f64,
     /// How old a reset may be when it is looked at, s.
     pub reset_fresh_s: f64,
+    /// An operator link is configured: its heartbeat is watched by `operator-link`.
+    pub operator_link: bool,
+    /// Time without a beat of the control thread after which the watchdog stops the drive, s.
+    pub watchdog_s: f64,
 }
 
 impl SafetySpec {
@@ -234,12 +246,13 @@ fn check_row(name: &str, row: &Row) -> Result<(), Fault> {
     Ok(())
 }
 
+/// SR-11: nothing is missing (serde), unknown (serde), out of range or silently off.
 impl Check for SafetySpec {
     fn check(&self) -> Result<(), Fault> {
         for id in DetectorId::ALL {
             check_row(id.name(), self.row(id))?;
         }
-        let (d, s) = (&self.detection, &self.stops);
+        let (d, s, t) = (&self.detection, &self.stops, &self.supervision);
         let ranges = [
             ("detection.acceleration_floor_m_s2", d.acceleration_floor_m_s2, 1e-3, 10.0),
             ("detection.following_time_s", d.following_time_s, 0.0, 0.1),
@@ -259,8 +272,9 @@ impl Check for SafetySpec {
             ("stops.return_speed_m_s", s.return_speed_m_s, 1e-3, 0.1),
             ("stops.return_acceleration_m_s2", s.return_acceleration_m_s2, 1e-3, 0.5),
             ("stops.centre_tolerance_m", s.centre_tolerance_m, 1e-6, 0.01),
-            ("stops.armed_for_s", s.armed_for_s, 1.0, 3600.0),
-            ("stops.reset_fresh_s", s.reset_fresh_s, 0.1, 60.0),
+            ("supervision.armed_for_s", t.armed_for_s, 1.0, 3600.0),
+            ("supervision.reset_fresh_s", t.reset_fresh_s, 0.1, 60.0),
+            ("supervision.watchdog_s", t.watchdog_s, 0.01, 10.0),
         ];
         for (key, value, low, high) in ranges {
             if !(low..=high).contains(&value) {
@@ -298,6 +312,7 @@ mod tests {
         }
     }
 
+    // SR-11
     #[test]
     fn a_missing_or_unknown_row_is_refused() {
         for id in DetectorId::ALL {
@@ -312,6 +327,7 @@ mod tests {
         }
     }
 
+    // SR-11
     #[test]
     fn a_detector_is_switched_off_with_a_reason_only() {
         let row = "\n[operator-link]";

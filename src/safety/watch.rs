@@ -39,7 +39,7 @@ impl DetectorSet {
         DetectorId::ALL.into_iter().filter(move |id| self.has(*id))
     }
 
-    fn with(self, id: DetectorId, on: bool) -> Self {
+    pub(super) fn with(self, id: DetectorId, on: bool) -> Self {
         Self(self.0 & !(1 << id as u32) | u32::from(on) << id as u32)
     }
 }
@@ -210,6 +210,12 @@ impl Watch {
     /// State of one detector.
     pub fn reading(&self, id: DetectorId) -> &Reading {
         self.judges[id as usize].reading()
+    }
+
+    /// Those of a set whose action latches.
+    pub fn latching(&self, set: DetectorSet) -> DetectorSet {
+        let latches = |id: &DetectorId| self.actions[*id as usize].latches();
+        set.iter().filter(latches).fold(DetectorSet::default(), |set, id| set.with(id, true))
     }
 
     /// Smallest threshold of a detector.

@@ -100,6 +100,7 @@ fn step_times(setup: &Setup, steps: u64) -> Result<TimingReport, CliError> {
         rig: plan.rig,
         generator: plan.generator,
         model: plan.model,
+        guard: plan.guard,
         end,
         sample_rate_hz: setup.rig.sample_rate_hz,
     });

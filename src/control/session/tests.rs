@@ -1,8 +1,9 @@
 use super::*;
 use crate::model::Response;
 use crate::record::samples::SampleReader;
-use crate::rig::simulated::FaultSwitches;
-use crate::rig::simulated::{SimulatedRig, SimulatedSpec};
+use crate::rig::RigSpec;
+use crate::rig::simulated::{FaultSwitches, SimulatedRig, SimulatedSpec, chain_delay_s};
+use crate::safety::SafetySpec;
 use crate::stream::{Command, OperatorEnd, split};
 use crate::sweep::{Schedule, SweepSpec};
 
@@ -26,6 +27,19 @@ impl Specimen for Rigid {
     }
 }
 
+fn guard() -> Guard {
+    let spec = SafetySpec::built_in().expect("valid");
+    let delay_s = chain_delay_s(&SimulatedSpec::default(), 2048.0);
+    let known = crate::safety::Setup {
+        sample_rate_hz: 2048.0,
+        chain_delay_s: delay_s,
+        capacity: RigSpec::default().capacity(),
+        total_gap_m: None,
+        bumper_stiffness_n_m: None,
+    };
+    Guard::new(&spec, &known)
+}
+
 fn plan(out: &std::path::Path, pace: Pace, seed: u64, low_hz: f64, high_hz: f64) -> Plan {
     let sweep = SweepSpec::paper().restricted(low_hz, high_hz).expect("in range");
     let schedule = Schedule::new(&sweep).expect("schedule");
@@ -36,6 +50,7 @@ fn plan(out: &std::path::Path, pace: Pace, seed: u64, low_hz: f64, high_hz: f64)
         rig: Box::new(rig),
         generator: Generator::new(&schedule, 2048.0),
         model: Box::new(Rigid { a: 0.0 }),
+        guard: Some(guard()),
         pace,
         depths: Depths::default(),
     }
@@ -105,9 +120,14 @@ fn disturbed(disturb: impl FnOnce(&FaultSwitches, &mut OperatorEnd<Request>)) ->
     let faults = rig.faults();
     plan.rig = Box::new(rig);
     let (end, mut recorder, _view, mut operator) = split::<Event, Request>(plan.depths);
-    let parts =
-        Parts { rig: plan.rig, generator: plan.generator, model: plan.model, end, sample_rate_hz: 2048.0 };
-    let mut controller = Controller::new(parts);
+    let mut controller = Controller::new(Parts {
+        rig: plan.rig,
+        generator: plan.generator,
+        model: plan.model,
+        guard: plan.guard,
+        end,
+        sample_rate_hz: 2048.0,
+    });
     let (mut commands, mut events, mut rows) = (Vec::new(), Vec::new(), Vec::with_capacity(64));
     let mut disturb = Some(disturb);
     for cycle in 0.. {
@@ -145,7 +165,9 @@ fn a_stop_is_smooth_and_ends_at_rest() {
     let (jerk, last) = smoothness(&commands);
     assert!(jerk < 61.0, "{jerk} m/s3");
     assert!(last.velocity_m_s.abs() < 1e-9 && last.acceleration_m_s2.abs() < 1e-9, "{last:?}");
-    assert!(commands.len() < 4 * 2048 + 2 * 2048, "{} periods", commands.len());
+    // Stop, pause and the slow return from up to 12 mm.
+    assert!(commands.len() < 4 * 2048 + 3 * 2048, "{} periods", commands.len());
+    assert!(last.displacement_m.abs() < 0.2e-3, "{last:?}");
     assert!(matches!(events.last(), Some(Event::End { ending: Ending::Stopped, .. })));
 }
 

@@ -12,6 +12,7 @@ pub use spec::{FoldbackSpec, SensorSpec, SimulatedSpec, TableSpec};
 
 use super::{Rig, RigFault};
 use crate::model::{Observation, Observer, Specimen};
+use crate::safety::StopLine;
 use crate::stream::{Channels, Command, Sample, StatusBits};
 use actuator::{Actuator, Drive};
 use faults::Active;
@@ -39,6 +40,7 @@ pub struct SimulatedRig {
     held: u32,
     last: [f64; 5],
     faults: FaultSwitches,
+    line: StopLine,
     now: Active,
     garbage: Pcg64Mcg,
 }
@@ -71,6 +73,7 @@ impl SimulatedRig {
             held: 0,
             last: [0.0; 5],
             faults: FaultSwitches::default(),
+            line: StopLine::default(),
             now: Active::default(),
             garbage: Pcg64Mcg::seed_from_u64(seed ^ 0x9e37_79b9_7f4a_7c15),
         }
@@ -229,10 +232,17 @@ impl Rig for SimulatedRig {
         if self.now.trip() {
             self.actuator.stop(true);
         }
+        if self.line.is_open() {
+            self.actuator.stop(false);
+        }
         self.move_table_and_specimen();
         let sample = self.take_sample();
         self.deliver(sample);
         self.sequence += 1;
+    }
+
+    fn stop_line(&self) -> Option<StopLine> {
+        Some(self.line.clone())
     }
 
     fn chain_delay_s(&self) -> f64 {

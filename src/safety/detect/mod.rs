@@ -1,5 +1,6 @@
 //! One detector a file: each turns samples or periods into one indicator, O(1) and without allocation.
-//! Thresholds, persistence and what follows are the judge's and the configuration's business.
+//! Thresholds, persistence and what follows are the judge's and the configuration's business. Together they stop a
+//! table that loses its command, and leave alone one that does not (SR-15).
 
 pub mod accelerometers_disagree;
 pub mod control_slips;
