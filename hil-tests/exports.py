@@ -12,10 +12,13 @@ import subprocess
 import sys
 import tempfile
 import tomllib
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
+# Newer pandas reads every digit by default.
+EXACT = {} if int(version("pandas").split(".")[0]) >= 3 else {"float_precision": "round_trip"}
 UNITS = {"time_s": "s", "table_displacement_m": "m", "table_acceleration_m_s2": "m/s2",
          "mass_acceleration_1_m_s2": "m/s2", "mass_acceleration_2_m_s2": "m/s2",
          "relative_displacement_m": "m", "force_n": "N", "displacement_m": "m",
@@ -49,7 +52,13 @@ def frame(table) -> dict:
 
 def parquet_pandas(path: Path) -> dict:
     import pandas
-    return frame(pandas.read_parquet(path))
+    import pyarrow.parquet
+    said = pyarrow.parquet.read_metadata(path).metadata
+    table = frame(pandas.read_parquet(path))
+    units = {name: said[f"unit:{name}".encode()].decode() for name in table if name != "step"}
+    assert units == {name: UNITS[name] for name in units}, f"units {units}"
+    assert said[b"kind"] == b"base", f"kind {said[b'kind']}"
+    return table
 
 
 def parquet_duckdb(path: Path) -> dict:
@@ -61,7 +70,7 @@ def csv(path: Path) -> dict:
     import pandas
     sidecar = tomllib.loads(Path(f"{path}.toml").read_text())
     units = {column["name"]: column["unit"] for column in sidecar["columns"]}
-    table = frame(pandas.read_csv(path, float_precision="round_trip"))
+    table = frame(pandas.read_csv(path, **EXACT))
     assert units == {name: UNITS[name] for name in table}, f"units {units}"
     return table
 
@@ -79,15 +88,52 @@ def mat(path: Path) -> dict:
     with h5py.File(path) as file:
         for name in file:
             assert "MATLAB_class" in file[name].attrs, f"{name} has no MATLAB class"
+        for name, data in file["unit"].items():
+            unit = "".join(map(chr, data[:].ravel()))
+            assert unit == UNITS[name], f"unit of {name}: {unit}"
         return {name: file[name][:].ravel() for name in file if name in UNITS}
 
 
 def uff(path: Path) -> dict:
     import pyuff
     sets = pyuff.UFF(str(path)).read_sets()
+    for one in sets:
+        name, unit = one["id1"].strip(), one["ordinate_axis_units_lab"].strip()
+        assert unit == UNITS[name], f"unit of {name}: {unit}"
     table = {one["id1"].strip(): np.asarray(one["data"]) for one in sets}
     table["time_s"] = np.asarray(sets[0]["x"])
     return table
+
+
+def tree(binary: str, folder: Path) -> str:
+    """Two runs in one tree, read by pandas and DuckDB as a table with its partitions."""
+    import duckdb
+    import pandas
+    runs, fleet = folder / "runs", folder / "fleet"
+    for case in ("B1-G2-0.05", "B2-G2-0.05"):
+        subprocess.run([binary, "run", "--case", case, "--steps", "2.0..2.2", "--out", runs], check=True, capture_output=True)
+    for run in runs.iterdir():
+        subprocess.run([binary, "export", run, "--tree", fleet], check=True, capture_output=True)
+    expected = {}
+    for run in runs.iterdir():
+        steps = pandas.read_csv(run / "steps.csv", **EXACT)
+        expected[run.name] = steps
+    columns = list(next(iter(expected.values())).columns)
+    query = f"select * from read_parquet('{fleet}/steps/**/*.parquet', hive_partitioning = true) order by \"index\""
+    for name, table in (("DuckDB", duckdb.sql(query).df()), ("pandas", pandas.read_parquet(fleet / "steps"))):
+        assert {"date", "case", "run"} <= set(table.columns), f"{name}: partitions {list(table.columns)}"
+        for run, steps in expected.items():
+            found = table[table["run"].astype(str) == run].sort_values("index")
+            assert len(found) == len(steps), f"{name}: {len(found)} steps of {run}"
+            for column in columns:
+                same = found[column].to_numpy() == steps[column].to_numpy()
+                assert same.all(), f"{name}: {column} of {run} differs"
+    rows = duckdb.sql(f"select run, count(*) n from read_parquet('{fleet}/samples/**/*.parquet', hive_partitioning = true) group by run").df()
+    for run in runs.iterdir():
+        said = tomllib.loads((run / "run.toml").read_text())["samples"]
+        found = int(rows[rows["run"] == run.name]["n"].iloc[0])
+        assert found == said, f"{run.name}: {found} rows in the tree, {said} recorded"
+    return f"tree by pandas and DuckDB: {len(expected)} runs, steps and rows equal"
 
 
 FORMATS = [("a.parquet", parquet_pandas, 0.0), ("a.parquet", parquet_duckdb, 0.0), ("a.csv", csv, 0.0),
@@ -125,6 +171,11 @@ def main() -> int:
             except (AssertionError, ImportError, KeyError, subprocess.CalledProcessError) as error:
                 failed = True
                 print(f"{label}: FAILED {error}")
+        try:
+            print(tree(binary, Path(folder)))
+        except (AssertionError, ImportError, KeyError, subprocess.CalledProcessError) as error:
+            failed = True
+            print(f"tree: FAILED {error}")
     return int(failed)
 
 

@@ -17,7 +17,7 @@ pub struct Args {
     output: Option<PathBuf>,
     /// Add a run folder to a tree of Parquet files partitioned by date and case
     #[cfg(feature = "parquet")]
-    #[arg(long, conflicts_with_all = ["output", "format", "force", "map", "kind", "rate"])]
+    #[arg(long, conflicts_with_all = ["output", "format", "force", "map", "columns", "kind", "rate"])]
     tree: Option<PathBuf>,
     /// Format, where the name does not tell it
     #[arg(long, value_enum)]

@@ -14,6 +14,10 @@ pub struct ReadArgs {
     /// `relative_displacement_m=laser:mm`; may be repeated
     #[arg(long, value_name = "ROLE=COLUMN")]
     pub map: Vec<Mapping>,
+    /// TOML file that says what the columns are (`[[columns]]` with `name`, `role`, `unit`, `sign`,
+    /// `calibration`), and `kind` and `sample_rate_hz`; `--map` has precedence
+    #[arg(long, value_name = "FILE")]
+    pub columns: Option<PathBuf>,
     /// What was imposed and measured; guessed from the columns when left out
     #[arg(long, value_enum)]
     pub kind: Option<Kind>,
@@ -24,8 +28,15 @@ pub struct ReadArgs {
 
 impl ReadArgs {
     /// The options as the reader takes them.
-    pub fn options(&self) -> ReadOptions {
-        ReadOptions { map: self.map.clone(), kind: self.kind, sample_rate_hz: self.rate }
+    ///
+    /// # Errors
+    /// [`CliError::Usage`] when the description of the columns is not one.
+    pub fn options(&self) -> Result<ReadOptions, CliError> {
+        let mut options = ReadOptions { map: self.map.clone(), kind: self.kind, sample_rate_hz: self.rate };
+        if let Some(path) = &self.columns {
+            options.describe(path).map_err(CliError::usage)?;
+        }
+        Ok(options)
     }
 
     /// Opens the record; what was repaired goes to standard error.
@@ -33,7 +44,7 @@ impl ReadArgs {
     /// # Errors
     /// [`CliError::Failed`] with the file and the reason.
     pub fn open(&self) -> Result<Record, CliError> {
-        let record = Record::open(&self.record, &self.options()).map_err(CliError::failed)?;
+        let record = Record::open(&self.record, &self.options()?).map_err(CliError::failed)?;
         for note in &record.notes {
             eprintln!("note: {note}");
         }

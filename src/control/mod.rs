@@ -4,6 +4,7 @@ pub mod chain;
 pub mod clock;
 pub mod event;
 mod onboard;
+pub mod recorded;
 mod reference;
 pub mod session;
 pub mod setup;

@@ -2,6 +2,7 @@
 //! rig, and writes down what was asked. Used by the command line, campaigns and the daemon.
 
 use super::onboard::Observed;
+use super::recorded::points_of_rows;
 use super::session::{Pace, Plan};
 use super::thread::prioritise_link;
 use crate::config::Case;
@@ -14,7 +15,7 @@ use crate::rig::replay::ReplayRig;
 use crate::rig::simulated::{FaultSwitches, SimulatedRig, chain_delay_s, specimen_step_s};
 use crate::rig::{Rig, RigSpec};
 use crate::safety::{self, Guard, SafetySpec};
-use crate::stream::{Depths, Sample};
+use crate::stream::{Depths, Row, Sample};
 use crate::sweep::{Generator, Preview, Schedule, SweepError, SweepSpec, Transition};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -173,17 +174,34 @@ impl Setup {
         })
     }
 
-    /// Recorded samples, played back through this setup, ready to start.
+    /// The command of a recorded run, for playing it back.
+    ///
+    /// # Errors
+    /// [`SetupError`] when the sweep is refused.
+    pub fn recorded_command(&self, rows: &[Row]) -> Result<Generator, SetupError> {
+        let (schedule, rate) = (self.schedule()?, self.rig.sample_rate_hz);
+        let mut points = points_of_rows(rows, Generator::new(&schedule, rate));
+        // The first sample stands under the command before the first period, which is rest.
+        let points = points.split_off(points.len().min(1));
+        Ok(Generator::recorded(&schedule, rate, points))
+    }
+
+    /// Recorded samples, played back through this setup under a command, ready to start.
     ///
     /// # Errors
     /// [`SetupError`] when anything is refused.
-    pub fn replay_plan(&self, samples: Vec<Sample>, out: &Path) -> Result<Plan, SetupError> {
+    pub fn replay_plan(
+        &self,
+        samples: Vec<Sample>,
+        command: Generator,
+        out: &Path,
+    ) -> Result<Plan, SetupError> {
         let delay_s = chain_delay_s(&self.rig.simulated(), self.rig.sample_rate_hz);
         Ok(Plan {
             out: out.to_owned(),
             manifest: self.manifest(Pace::Virtual)?,
             rig: Box::new(ReplayRig::new(samples, delay_s)),
-            generator: Generator::new(&self.schedule()?, self.rig.sample_rate_hz),
+            generator: command,
             model: self.onboard_model()?,
             guard: Some(self.guard(delay_s)?),
             pace: Pace::Virtual,

@@ -11,6 +11,7 @@ pub mod recorder;
 pub mod recover;
 pub mod salvage;
 pub mod samples;
+mod syncer;
 pub mod verify;
 
 pub use data::{Kind, Record};

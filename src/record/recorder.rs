@@ -6,6 +6,7 @@ use super::chain::LINK_ROWS;
 use super::first_out::FirstOut;
 use super::folder::{LossReport, RunError, RunFolder, io};
 use super::samples::{SampleWriter, chunk_rows};
+use super::syncer::Syncer;
 use crate::control::event::{Ending, Event, Nrmse, StepSummary};
 use crate::safety::DetectorId;
 use crate::stream::{RecorderEnd, Row};
@@ -58,6 +59,7 @@ pub struct Recorder {
     end: RecorderEnd<Event>,
     notices: Sender<Notice>,
     samples: SampleWriter,
+    syncer: Syncer,
     chunk_rows: usize,
     events: BufWriter<File>,
     steps: BufWriter<File>,
@@ -120,11 +122,14 @@ impl Recorder {
             options.open(&path).map(BufWriter::new).map_err(io(&path))
         };
         let [stop, at_end] = folder.reserves();
+        let samples = SampleWriter::create(&folder.samples(), sample_rate_hz)?;
+        let (events, integrity) = (append(folder.events())?, create(folder.integrity())?);
         let mut recorder = Self {
-            samples: SampleWriter::create(&folder.samples(), sample_rate_hz)?,
-            events: append(folder.events())?,
+            samples,
+            events,
+            integrity,
+            syncer: Syncer::start(&[folder.samples(), folder.events(), folder.integrity()])?,
             steps: create(folder.steps())?,
-            integrity: create(folder.integrity())?,
             reserves: [
                 Reserve::take(&stop, RESERVE_BYTES)?.into(),
                 Reserve::take(&at_end, RESERVE_BYTES)?.into(),
@@ -189,7 +194,8 @@ impl Recorder {
             let whole = self.rows.len() - self.rows.len() % self.chunk_rows;
             self.write_rows(if closed && taken == 0 { self.rows.len() } else { whole });
             if synced.elapsed() >= SYNC_EVERY {
-                self.sync();
+                let outcome = self.syncer.ask();
+                self.note(outcome);
                 synced = Instant::now();
             }
             if closed && taken == 0 && self.rows.is_empty() {
@@ -199,14 +205,6 @@ impl Recorder {
                 std::thread::park_timeout(POLL);
             }
         }
-    }
-
-    /// Forces everything written so far to the disk.
-    fn sync(&mut self) {
-        let samples = self.samples.sync().map_err(|error| error.to_string());
-        self.note(samples);
-        let others = self.events.get_ref().sync_data().and_then(|()| self.integrity.get_ref().sync_data());
-        self.note(others.map_err(|error| format!("events.jsonl, integrity.txt: {error}")));
     }
 
     /// Keeps the first error, tells it, and goes on.
@@ -370,7 +368,8 @@ impl Recorder {
         lost.events = losses.events;
         lost.live = losses.live;
         self.result.rows = self.samples.rows();
-        self.sync();
+        let outcome = self.syncer.finish();
+        self.note(outcome);
         match self.samples.close() {
             Ok(last) => {
                 // The last block is open where the run ended; a whole one has its link already.

@@ -10,7 +10,7 @@ use super::verify::links;
 use crate::control::clock::Clock as _;
 use crate::control::setup::{Setup, SetupError};
 use crate::control::{Controller, Event, Nrmse, Parts, Request, StepSummary, VirtualClock};
-use crate::stream::{Row, Sample, split};
+use crate::stream::{Row, split};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
@@ -32,8 +32,9 @@ pub enum RecoverError {
 ///
 /// # Errors
 /// [`SetupError`] when the run's own configuration is refused.
-pub fn replay_steps(setup: &Setup, samples: Vec<Sample>) -> Result<(Vec<StepSummary>, Nrmse), SetupError> {
-    let plan = setup.replay_plan(samples, std::path::Path::new("."))?;
+pub fn replay_steps(setup: &Setup, rows: &[Row]) -> Result<(Vec<StepSummary>, Nrmse), SetupError> {
+    let samples = rows.iter().map(|row| row.sample).collect();
+    let plan = setup.replay_plan(samples, setup.recorded_command(rows)?, std::path::Path::new("."))?;
     let (end, mut recorder, _view, _operator) = split::<Event, Request>(plan.depths);
     let rate = setup.rig.sample_rate_hz;
     let mut controller = Controller::new(Parts {
@@ -102,7 +103,7 @@ pub fn recover(folder: &RunFolder) -> Result<Recovered, RecoverError> {
     };
     let cut = trim_events(folder)?;
     let setup = Setup::of_run(&manifest)?;
-    let (steps, error) = replay_steps(&setup, rows.iter().map(|row| row.sample).collect())?;
+    let (steps, error) = replay_steps(&setup, &rows)?;
     let mut table = format!("{STEPS_HEAD}\n");
     for step in &steps {
         // Writing to a String cannot fail.

@@ -6,7 +6,8 @@ use super::chain::{Link, RowChain};
 use crate::model::Regime;
 use crate::stream::{Channels, Command, Row, Sample, StatusBits};
 use hdf5_pure::{
-    AttrValue, CompoundTypeBuilder, Dataset, File, FileAccessProperties, FileBuilder, MaxExtent, SyncPolicy,
+    AttrValue, CompoundTypeBuilder, Dataset, File, FileAccessProperties, FileBuilder, FileLocking, MaxExtent,
+    SyncPolicy,
 };
 use std::path::{Path, PathBuf};
 
@@ -185,9 +186,12 @@ impl SampleWriter {
             .with_chunks(&[chunk_rows(sample_rate_hz) as u64])
             .set_attr("sample_rate_hz", AttrValue::F64(sample_rate_hz));
         builder.write(path).map_err(wrap(path))?;
-        // Writes reach the system at once, which is what survives a killed process; `sync` is called
-        // once a second, which bounds what a power cut costs.
-        let properties = FileAccessProperties::new().with_sync_policy(SyncPolicy::OnClose);
+        // Writes reach the system at once, which is what survives a killed process; the recorder forces
+        // them to the disk once a second, which bounds what a power cut costs.
+        let properties = FileAccessProperties::new()
+            .with_sync_policy(SyncPolicy::OnClose)
+            // Other readers may open the file while it grows; that one process writes it is the folder's lock's to say.
+            .with_locking(FileLocking::Disabled);
         let file = File::open_rw_with_options(path, properties).map_err(wrap(path))?;
         let dataset = file.dataset(DATASET).map_err(wrap(path))?;
         Ok(Self {
@@ -214,14 +218,6 @@ impl SampleWriter {
         self.chain.update(&self.block, link);
         self.rows += rows.len() as u64;
         Ok(())
-    }
-
-    /// Forces what was written to the disk.
-    ///
-    /// # Errors
-    /// [`SampleFileError::Hdf5`].
-    pub fn sync(&self) -> Result<(), SampleFileError> {
-        self.file.sync().map_err(wrap(&self.path))
     }
 
     /// Rows written.

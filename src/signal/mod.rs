@@ -7,7 +7,7 @@
 mod analyzer;
 mod butterworth;
 mod low_pass;
-mod offline;
+pub(crate) mod offline;
 
 pub use analyzer::{ChannelResult, CyclePlace, HARMONICS, Harmonic, MAX_CYCLES, StepAnalyzer, StepResult};
 pub use butterworth::{BandPass, FilterBank};

@@ -89,7 +89,7 @@ pub fn fundamental_hz(samples: &[f64], sample_rate_hz: f64) -> Option<f64> {
 ///
 /// Rising crossings of a level zone give a first value; the drift of the phase between the Hann-windowed
 /// halves, taken about it, polishes it.
-fn fundamental(samples: &[f64], sample_rate_hz: f64) -> Option<(f64, f64)> {
+pub(crate) fn fundamental(samples: &[f64], sample_rate_hz: f64) -> Option<(f64, f64)> {
     let mut hz = crossing_hz(samples, sample_rate_hz)?;
     let half = samples.len() / 2;
     for _ in 0..6 {

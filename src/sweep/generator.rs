@@ -69,9 +69,16 @@ pub struct Generator {
     glide: Glide,
     counted_from: u32,
     hold: bool,
+    recorded: Option<Vec<CommandPoint>>,
 }
 
 impl Generator {
+    /// A generator of points that are known already, those of a record; it never ends by itself, and
+    /// neither settling nor holds change it.
+    pub fn recorded(schedule: &Schedule, sample_rate_hz: f64, points: Vec<CommandPoint>) -> Self {
+        Self { recorded: Some(points), ..Self::new(schedule, sample_rate_hz) }
+    }
+
     /// A generator at the start of the schedule, one point each 1/`sample_rate_hz`; the first is at time 0.
     pub fn new(schedule: &Schedule, sample_rate_hz: f64) -> Self {
         let mut generator = Self {
@@ -84,6 +91,7 @@ impl Generator {
             glide: Glide::new(1.0, 1.0, 1, 0.0),
             counted_from: 0,
             hold: false,
+            recorded: None,
         };
         if let Some(first) = schedule.steps().first() {
             generator.place = Place::StartRamp;
@@ -94,6 +102,12 @@ impl Generator {
 
     /// The command of the next sample.
     pub fn next_point(&mut self) -> CommandPoint {
+        if let Some(points) = &self.recorded {
+            let rest = assemble(Motion::default(), None, Segment::Done);
+            let point = points.get(self.sample as usize).copied().unwrap_or(rest);
+            self.sample += 1;
+            return point;
+        }
         let time_s = self.time_s();
         while time_s >= self.end_s {
             self.enter_next();
@@ -141,7 +155,7 @@ impl Generator {
 
     /// Whether the sweep has ended and the table is at rest.
     pub fn is_done(&self) -> bool {
-        self.place == Place::Done
+        self.place == Place::Done && self.recorded.is_none()
     }
 
     /// Time of the next point, s since the start of the command.

@@ -71,6 +71,19 @@ impl Schedule {
         Ok(schedule)
     }
 
+    /// The steps that were found in a record, in its order, with nothing between them.
+    pub fn of_steps(steps: Vec<Step>) -> Self {
+        let duration_s = steps.last().map_or(0.0, |last| last.end_s);
+        Self {
+            steps,
+            transition: Transition::None,
+            transition_cycles: 0,
+            ramp_cycles: 0,
+            settling: None,
+            duration_s,
+        }
+    }
+
     fn push(&mut self, direction: Direction, frequency_hz: f64, cycles: u32, amplitude_m_s2: f64) {
         let w = TAU * frequency_hz;
         let mut step = Step {

@@ -1,5 +1,7 @@
 //! Comma-, semicolon- or tab-separated values with a header row.
 
+use super::describe::{self, Column, Description};
+use super::lines::BoundedLines;
 use super::{Columns, DataError, Record, format, io};
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
@@ -8,7 +10,7 @@ use std::path::Path;
 /// without any number is left out.
 pub(super) fn read(path: &Path) -> Result<Columns, DataError> {
     let file = std::fs::File::open(path).map_err(io(path))?;
-    let mut buffered = BufReader::with_capacity(1 << 20, file);
+    let mut buffered = BufReader::with_capacity(1 << 20, BoundedLines::new(file));
     let delimiter = delimiter(buffered.fill_buf().map_err(io(path))?);
     let mut reader = ::csv::ReaderBuilder::new()
         .delimiter(delimiter)
@@ -101,40 +103,25 @@ pub(super) fn write(record: &Record, path: &Path) -> Result<(), DataError> {
     write_sidecar(record, path)
 }
 
-#[derive(serde::Serialize)]
-struct Sidecar<'a> {
-    source: &'a str,
-    kind: super::Kind,
-    sample_rate_hz: f64,
-    samples: usize,
-    notes: &'a [String],
-    columns: Vec<Column>,
-}
-
-#[derive(serde::Serialize)]
-struct Column {
-    name: &'static str,
-    unit: &'static str,
-    /// Stored numbers times this are in the unit.
-    calibration: f64,
-}
-
 fn write_sidecar(record: &Record, path: &Path) -> Result<(), DataError> {
     let columns =
         record.channels().map(|(role, _)| role).chain((!record.step.is_empty()).then_some(super::Role::Step));
-    let sidecar = Sidecar {
-        source: &record.source,
-        kind: record.kind,
-        sample_rate_hz: record.sample_rate_hz,
-        samples: record.len(),
-        notes: &record.notes,
-        columns: columns
-            .map(|role| Column { name: role.name(), unit: role.unit(), calibration: 1.0 })
-            .collect(),
+    let column = |role: super::Role| Column {
+        name: role.name().to_owned(),
+        role: None,
+        unit: Some(role.unit().to_owned()),
+        calibration: 1.0,
+        sign: 1.0,
     };
-    let mut name = path.as_os_str().to_owned();
-    name.push(".toml");
-    let sidecar_path = std::path::PathBuf::from(name);
-    let text = toml::to_string(&sidecar).map_err(|error| format(&sidecar_path)(&error))?;
-    std::fs::write(&sidecar_path, text).map_err(io(&sidecar_path))
+    let description = Description {
+        source: Some(record.source.clone()),
+        kind: Some(record.kind),
+        sample_rate_hz: Some(record.sample_rate_hz),
+        samples: Some(record.len()),
+        notes: record.notes.clone(),
+        columns: columns.map(column).collect(),
+    };
+    let sidecar = describe::sidecar(path);
+    let text = toml::to_string(&description).map_err(|error| format(&sidecar)(&error))?;
+    std::fs::write(&sidecar, text).map_err(io(&sidecar))
 }

@@ -1,27 +1,22 @@
 //! HDF5: a data set a channel (at the root or in one group, as MATLAB v7.3 has it too) or one compound
 //! data set.
 
-use super::{Columns, DataError, Record, format, io};
+use super::{Columns, DataError, Kind, Record, format};
 use hdf5_pure::{AttrValue, DType, Dataset, Datatype, File, FileBuilder};
+use std::collections::HashMap;
 use std::path::Path;
-
-/// Decoded bytes that a file may claim at least, and as a multiple of its own size: deflate packs a
-/// thousandfold at most.
-const LEAST_BYTES: u64 = 64 << 20;
-const MOST_PACKED: u64 = 1100;
 
 /// Reads every numeric one-dimensional data set (or MATLAB's `1 x n`) and compound field.
 pub(super) fn read(path: &Path) -> Result<Columns, DataError> {
     let wrong = |error: hdf5_pure::Error| format(path)(&error);
-    let most_bytes =
-        std::fs::metadata(path).map_err(io(path))?.len().saturating_mul(MOST_PACKED).max(LEAST_BYTES);
     let file = File::open_streaming(path).map_err(wrong)?;
     let root = file.root();
     let mut columns = Columns::default();
-    let rate = |attributes: std::collections::HashMap<String, AttrValue>| {
-        attributes.get("sample_rate_hz").and_then(AttrValue::as_f64)
-    };
-    columns.sample_rate_hz = root.attrs().ok().and_then(rate);
+    let rate =
+        |attributes: HashMap<String, AttrValue>| attributes.get("sample_rate_hz").and_then(AttrValue::as_f64);
+    let stated = root.attrs().unwrap_or_default();
+    columns.kind = text_of(&stated, &["kind"]).as_deref().and_then(Kind::of_name);
+    columns.sample_rate_hz = rate(stated);
     let mut groups = vec![root];
     // One level down: a MATLAB structure or a group a run.
     for name in groups[0].groups().map_err(wrong)? {
@@ -29,7 +24,7 @@ pub(super) fn read(path: &Path) -> Result<Columns, DataError> {
             groups.push(groups[0].group(&name).map_err(wrong)?);
         }
     }
-    let mut budget = most_bytes;
+    let mut budget = super::most_decoded_bytes(path)?;
     for group in &groups {
         for name in group.datasets().map_err(wrong)? {
             let dataset = group.dataset(&name).map_err(wrong)?;
@@ -43,6 +38,14 @@ pub(super) fn read(path: &Path) -> Result<Columns, DataError> {
         }
     }
     Ok(columns)
+}
+
+/// A text attribute by one of its names.
+fn text_of(attributes: &HashMap<String, AttrValue>, names: &[&str]) -> Option<String> {
+    names.iter().find_map(|name| match attributes.get(*name)? {
+        AttrValue::String(text) | AttrValue::AsciiString(text) => Some(text.trim().to_owned()),
+        _ => None,
+    })
 }
 
 /// Adds one data set when it is a column or a table.
@@ -59,7 +62,20 @@ fn take(
     let bytes = count.and_then(|count| count.checked_mul(dataset.element_size().ok()?));
     match bytes {
         Some(bytes) if bytes <= *budget => *budget -= bytes,
-        _ => return Err(format(path)(&format!("`{name}` claims more data than the file can hold"))),
+        _ => {
+            let claimed = bytes.map_or("too much".to_owned(), |bytes| std::format!("{} MB", bytes >> 20));
+            let allowed = *budget >> 20;
+            return Err(format(path)(&std::format!(
+                "`{name}` claims {claimed} of data; allowed: {allowed} MB"
+            )));
+        }
+    }
+    if name == "kind" && dataset.dtype().is_ok_and(|kind| kind == DType::U16) && bytes < Some(64) {
+        // MATLAB's text: a number a character.
+        let text: String =
+            dataset.read_u16().map_err(wrong)?.iter().filter_map(|c| char::from_u32(u32::from(*c))).collect();
+        columns.kind = columns.kind.or(Kind::of_name(&text));
+        return Ok(());
     }
     // More than one extent above 1 is a matrix, not a channel.
     if shape.iter().filter(|extent| **extent > 1).count() > 1 || count == Some(0) {
@@ -83,7 +99,10 @@ fn take(
         ("sample_rate_hz", [rate_hz]) => columns.sample_rate_hz = Some(*rate_hz),
         // A lone number beside the channels is a parameter.
         (_, [_]) => {}
-        _ => columns.push(name, values),
+        _ => {
+            let unit = text_of(&dataset.attrs().unwrap_or_default(), &["unit", "units"]);
+            columns.push_with_unit(name, values, unit);
+        }
     }
     Ok(())
 }
@@ -149,6 +168,7 @@ fn decoder(kind: &DType, big: bool) -> Option<Box<Decode>> {
 pub(super) fn write(record: &Record, path: &Path) -> Result<(), DataError> {
     let mut builder = FileBuilder::new();
     builder.set_attr("sample_rate_hz", AttrValue::F64(record.sample_rate_hz));
+    builder.set_attr("kind", AttrValue::String(record.kind.name().to_owned()));
     for (role, values) in record.channels() {
         let dataset = builder.create_dataset(role.name()).with_f64_data(values);
         dataset.set_attr("unit", AttrValue::String(role.unit().to_owned()));

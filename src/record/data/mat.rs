@@ -1,4 +1,5 @@
-//! MATLAB v7.3 files: a column vector a channel, `sample_rate_hz`, `kind`, `source`. They are read by
+//! MATLAB v7.3 files: a column vector a channel, `sample_rate_hz`, `kind`, `source`,
+//! and a structure `unit` with the unit of each. They are read by
 //! the HDF5 reader.
 
 use super::{DataError, Record, format};
@@ -20,7 +21,13 @@ fn write_to(record: &Record, path: &Path) -> Result<(), MatError> {
         builder.write_i32("step", &[rows, 1], &record.step)?;
     }
     builder.write_scalar_f64("sample_rate_hz", record.sample_rate_hz)?;
-    builder.write_char("kind", &std::format!("{:?}", record.kind).to_lowercase())?;
+    builder.write_char("kind", record.kind.name())?;
+    builder.struct_("unit", |units| {
+        for (role, _) in record.channels() {
+            units.write_char(role.name(), role.unit())?;
+        }
+        Ok(())
+    })?;
     builder.write_char("source", &record.source)?;
     builder.write(path)
 }

@@ -5,7 +5,11 @@
 //! goes the other way. No file, however damaged, makes it panic or take memory out of proportion.
 
 mod csv;
+mod describe;
 mod hdf5;
+#[cfg(test)]
+mod hostile_tests;
+mod lines;
 mod mat;
 #[cfg(feature = "parquet")]
 mod parquet;
@@ -99,15 +103,24 @@ pub struct ReadOptions {
 struct Columns {
     names: Vec<String>,
     values: Vec<Vec<f64>>,
+    /// Unit that the file states for each.
+    units: Vec<Option<String>>,
     /// Rate stated by the file beside its columns.
     sample_rate_hz: Option<f64>,
+    /// Kind stated by the file.
+    kind: Option<Kind>,
     notes: Vec<String>,
 }
 
 impl Columns {
     fn push(&mut self, name: impl Into<String>, values: Vec<f64>) {
+        self.push_with_unit(name, values, None);
+    }
+
+    fn push_with_unit(&mut self, name: impl Into<String>, values: Vec<f64>, unit: Option<String>) {
         self.names.push(name.into());
         self.values.push(values);
+        self.units.push(unit.filter(|unit| !unit.is_empty() && unit != "NONE"));
     }
 }
 
@@ -193,6 +206,23 @@ fn read_columns(path: &Path) -> Result<Columns, DataError> {
     Ok(columns)
 }
 
+/// Bytes of decoded channels that a file of this length may claim, lest a few damaged bytes ask for all
+/// the memory there is: what the best compression could have packed into it (deflate: a thousandfold, and
+/// something for runs of equal numbers), and half of the memory that is free.
+fn most_decoded_bytes(path: &Path) -> Result<u64, DataError> {
+    let length = std::fs::metadata(path).map_err(io(path))?.len();
+    Ok(length.saturating_mul(1100).max(64 << 20).min(free_memory_bytes() / 2))
+}
+
+/// What Linux says is free for new work; four gibibytes where it says nothing.
+fn free_memory_bytes() -> u64 {
+    let free = std::fs::read_to_string("/proc/meminfo").ok().and_then(|text| {
+        let line = text.lines().find(|line| line.starts_with("MemAvailable:"))?;
+        line.split_whitespace().nth(1)?.parse::<u64>().ok()
+    });
+    free.map_or(4 << 30, |kib| kib << 10)
+}
+
 /// Writes a record with the column names of the contract.
 ///
 /// # Errors
@@ -220,6 +250,22 @@ pub enum Kind {
     Force,
     /// Imposed displacement in, force out: a damper or a bumper on its own.
     Component,
+}
+
+impl Kind {
+    /// The word of files and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Base => "base",
+            Self::Force => "force",
+            Self::Component => "component",
+        }
+    }
+
+    /// The kind of that name.
+    pub fn of_name(name: &str) -> Option<Self> {
+        [Self::Base, Self::Force, Self::Component].into_iter().find(|kind| kind.name() == name)
+    }
 }
 
 /// Uniformly sampled channels, SI. Every present channel has the length of `time_s`; an absent one
@@ -286,7 +332,7 @@ impl Record {
             return Ok(super::read_run(path)?);
         }
         let columns = read_columns(path)?;
-        roles::assemble(path, columns, options)
+        roles::assemble(path, columns, &describe::with_sidecar(path, options)?)
     }
 
     /// A channel by its role; empty when absent.

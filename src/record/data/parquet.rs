@@ -1,10 +1,11 @@
 //! Apache Parquet through its column interface.
 
-use super::{Columns, DataError, Record, format, io};
+use super::{Columns, DataError, Kind, Record, format, io};
 use ::parquet::basic::{Compression, LogicalType, Repetition, Type as Physical, ZstdLevel};
 use ::parquet::column::reader::{ColumnReader, ColumnReaderImpl};
 use ::parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int32Type};
 use ::parquet::errors::ParquetError;
+use ::parquet::file::metadata::KeyValue;
 use ::parquet::file::properties::{EnabledStatistics, WriterProperties};
 use ::parquet::file::reader::{FileReader, SerializedFileReader};
 use ::parquet::file::writer::SerializedFileWriter;
@@ -24,6 +25,10 @@ pub(super) fn read(path: &Path) -> Result<Columns, DataError> {
     let reader = SerializedFileReader::new(file).map_err(wrong)?;
     let schema = reader.metadata().file_metadata().schema_descr_ptr();
     let mut columns = Columns::default();
+    let stated = reader.metadata().file_metadata().key_value_metadata();
+    let stated = |key: &str| stated?.iter().find(|pair| pair.key == key)?.value.clone();
+    columns.kind = stated("kind").as_deref().and_then(Kind::of_name);
+    let mut budget = super::most_decoded_bytes(path)?;
     for (index, column) in schema.columns().iter().enumerate() {
         let numeric = matches!(
             column.physical_type(),
@@ -47,8 +52,16 @@ pub(super) fn read(path: &Path) -> Result<Columns, DataError> {
                 _ => Ok(()),
             }
             .map_err(wrong)?;
+            // Checked as it comes: what a header claims is not what a page holds.
+            if values.len() as u64 * 8 > budget {
+                let (name, allowed) = (column.path().string(), budget >> 20);
+                return Err(format(path)(&std::format!("`{name}` holds more than {allowed} MB of numbers")));
+            }
         }
-        columns.push(column.path().string(), values);
+        budget -= values.len() as u64 * 8;
+        let name = column.path().string();
+        let unit = stated(&std::format!("unit:{name}"));
+        columns.push_with_unit(name, values, unit);
     }
     Ok(columns)
 }
@@ -99,16 +112,33 @@ pub(super) fn write(record: &Record, path: &Path) -> Result<(), DataError> {
     if !record.step.is_empty() {
         columns.push(("step", Column::Integers(&record.step)));
     }
-    write_columns(&columns, record.len(), path)
+    let mut said = vec![
+        ("kind".to_owned(), record.kind.name().to_owned()),
+        ("sample_rate_hz".to_owned(), record.sample_rate_hz.to_string()),
+    ];
+    said.extend(
+        record.channels().map(|(role, _)| (std::format!("unit:{}", role.name()), role.unit().to_owned())),
+    );
+    write_columns(&columns, record.len(), &said, path)
 }
 
-/// Writes named columns, all of `length` rows.
-pub(super) fn write_columns(columns: &[(&str, Column)], length: usize, path: &Path) -> Result<(), DataError> {
+/// Writes named columns, all of `length` rows, and what is said of the file in pairs of key and value.
+pub(super) fn write_columns(
+    columns: &[(&str, Column)],
+    length: usize,
+    said: &[(String, String)],
+    path: &Path,
+) -> Result<(), DataError> {
     let file = std::fs::File::create(path).map_err(io(path))?;
-    write_to(columns, length, file).map_err(|error| format(path)(&error))
+    write_to(columns, length, said, file).map_err(|error| format(path)(&error))
 }
 
-fn write_to(columns: &[(&str, Column)], length: usize, file: std::fs::File) -> Result<(), ParquetError> {
+fn write_to(
+    columns: &[(&str, Column)],
+    length: usize,
+    said: &[(String, String)],
+    file: std::fs::File,
+) -> Result<(), ParquetError> {
     let field = |(name, column): &(&str, Column)| {
         let (physical, logical) = match column {
             Column::Doubles(_) => (Physical::DOUBLE, None),
@@ -124,6 +154,9 @@ fn write_to(columns: &[(&str, Column)], length: usize, file: std::fs::File) -> R
     let properties = WriterProperties::builder()
         .set_compression(Compression::ZSTD(ZstdLevel::try_new(1)?))
         .set_dictionary_enabled(false)
+        .set_key_value_metadata(Some(
+            said.iter().map(|(key, value)| KeyValue::new(key.clone(), value.clone())).collect(),
+        ))
         .set_statistics_enabled(EnabledStatistics::Chunk)
         .build();
     let mut writer = SerializedFileWriter::new(file, schema, Arc::new(properties))?;

@@ -373,7 +373,7 @@ mod tests {
     }
 
     fn write(columns: &[(&str, Column)], steps: usize, path: &Path) {
-        write_columns(columns, steps, path).expect("written");
+        write_columns(columns, steps, &[], path).expect("written");
     }
 
     fn conditions(texts: &[&str]) -> Vec<Condition> {

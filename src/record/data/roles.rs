@@ -75,7 +75,7 @@ impl Role {
     }
 
     /// Factor from a unit to SI; `None` when it is none of the role's.
-    fn factor(self, unit: &str) -> Option<f64> {
+    pub(super) fn factor(self, unit: &str) -> Option<f64> {
         let known: &[(&str, f64)] = match self.unit() {
             "s" => &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9), ("min", 60.0), ("h", 3600.0)],
             "m" => &[
@@ -144,6 +144,15 @@ pub struct Mapping {
     pub column: String,
     /// What its numbers are multiplied with to be SI, sign included.
     pub factor: f64,
+    /// Whether the unit was stated with it; the file's own word holds otherwise.
+    pub unit_known: bool,
+}
+
+impl Mapping {
+    /// A column as it stands.
+    pub fn new(role: Role, column: impl Into<String>) -> Self {
+        Self { role, column: column.into(), factor: 1.0, unit_known: false }
+    }
 }
 
 impl FromStr for Mapping {
@@ -163,16 +172,17 @@ impl FromStr for Mapping {
         let (column, unit) = match rest.rsplit_once(':') {
             Some((column, unit)) => (
                 column,
-                role.factor(unit).ok_or_else(|| {
+                Some(role.factor(unit).ok_or_else(|| {
                     wrong(format!("`{unit}` is no unit of {} ({})", role.name(), role.unit()))
-                })?,
+                })?),
             ),
-            None => (rest, 1.0),
+            None => (rest, None),
         };
         if column.is_empty() {
             return Err(wrong("the column has no name".into()));
         }
-        Ok(Self { role, column: column.to_owned(), factor: sign * unit })
+        let (factor, unit_known) = (sign * unit.unwrap_or(1.0), unit.is_some());
+        Ok(Self { role, column: column.to_owned(), factor, unit_known })
     }
 }
 
@@ -204,7 +214,13 @@ pub(super) fn assemble(
         let shared = options.map.iter().filter(|mapping| mapping.column == name).count() > 1;
         let mut values =
             if shared { columns.values[found].clone() } else { std::mem::take(&mut columns.values[found]) };
-        if let Some(factor) = mapping.map(|mapping| mapping.factor).filter(|factor| *factor != 1.0) {
+        let mut factor = mapping.map_or(1.0, |mapping| mapping.factor);
+        if !mapping.is_some_and(|mapping| mapping.unit_known)
+            && let Some(unit) = &columns.units[found]
+        {
+            factor *= stated_unit(role, unit, &mut record.notes);
+        }
+        if factor != 1.0 {
             values.iter_mut().for_each(|value| *value *= factor);
         }
         match record.channel_mut(role) {
@@ -223,9 +239,27 @@ pub(super) fn assemble(
     Ok(record)
 }
 
-/// The kind asked for, or the one that the channels speak for.
+/// Factor from the unit that the file itself states; what it leads to is noted.
+fn stated_unit(role: Role, unit: &str, notes: &mut Vec<String>) -> f64 {
+    let (name, si) = (role.name(), role.unit());
+    match role.factor(unit) {
+        Some(1.0) => 1.0,
+        Some(factor) => {
+            notes.push(format!("{name} is in {unit} in the file and was converted to {si}"));
+            factor
+        }
+        None => {
+            notes.push(format!(
+                "the file says that {name} is in `{unit}`, which is no unit of it; {si} was taken"
+            ));
+            1.0
+        }
+    }
+}
+
+/// The kind asked for, stated, or the one that the channels speak for.
 fn kind(path: &Path, record: &mut Record, asked: Option<Kind>, columns: &Columns) -> Result<Kind, DataError> {
-    if let Some(kind) = asked {
+    if let Some(kind) = asked.or(columns.kind) {
         return Ok(kind);
     }
     let force = !record.force_n.is_empty();

@@ -2,7 +2,7 @@ use super::*;
 use std::f64::consts::TAU;
 
 /// A stepped-sine base record: three frequencies, ten cycles each, marked.
-fn sample_record() -> Record {
+pub(super) fn sample_record() -> Record {
     let rate = 512.0;
     let mut record = Record::empty("made", Kind::Base, rate);
     let mut phase = 0.0f64;
@@ -23,7 +23,7 @@ fn sample_record() -> Record {
     record
 }
 
-fn folder() -> tempfile::TempDir {
+pub(super) fn folder() -> tempfile::TempDir {
     tempfile::tempdir().expect("folder")
 }
 
@@ -107,7 +107,7 @@ fn component(time_s: &[f64], values: impl Fn(f64) -> f64) -> String {
     text
 }
 
-fn open_text(text: &str) -> Result<Record, DataError> {
+pub(super) fn open_text(text: &str) -> Result<Record, DataError> {
     let folder = folder();
     let path = folder.path().join("x.csv");
     std::fs::write(&path, text).expect("written");

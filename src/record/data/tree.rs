@@ -75,7 +75,7 @@ fn steps(from: &Path, to: &Path) -> Result<(), DataError> {
             (name.as_str(), column)
         })
         .collect();
-    write_columns(&columns, rows.len(), to)
+    write_columns(&columns, rows.len(), &[], to)
 }
 
 #[cfg(test)]

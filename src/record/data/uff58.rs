@@ -2,15 +2,20 @@
 //! the Structural Dynamics Research Lab, University of Cincinnati: one block a channel, its name in the
 //! first identification line.
 
-use super::{Columns, DataError, Record, Role, format, io};
+use super::lines::BoundedLines;
+use super::{Columns, DataError, Kind, Record, Role, format, io};
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 
 /// Reads all blocks of real, evenly spaced data; other blocks are left out and named.
 pub(super) fn read(path: &Path) -> Result<Columns, DataError> {
     let file = std::fs::File::open(path).map_err(io(path))?;
-    let mut lines =
-        Lines { path, reader: BufReader::with_capacity(1 << 20, file), number: 0, buffer: Vec::new() };
+    let mut lines = Lines {
+        path,
+        reader: BufReader::with_capacity(1 << 20, BoundedLines::new(file)),
+        number: 0,
+        buffer: Vec::new(),
+    };
     let mut columns = Columns::default();
     let mut start_s = None;
     while let Some(line) = lines.next()? {
@@ -35,7 +40,8 @@ pub(super) fn read(path: &Path) -> Result<Columns, DataError> {
         }
         columns.sample_rate_hz = Some(rate_hz(block.interval_s));
         start_s = start_s.or(Some(block.start_s));
-        columns.push(block.name, block.values);
+        columns.kind = columns.kind.or(block.kind);
+        columns.push_with_unit(block.name, block.values, block.unit);
     }
     if let Some(start_s) = start_s.filter(|start| *start != 0.0) {
         columns.notes.push(format!("time counts from {start_s} s of the file"));
@@ -58,7 +64,7 @@ fn rate_hz(interval_s: f64) -> f64 {
 /// Lines with their number, of bounded length.
 struct Lines<'a> {
     path: &'a Path,
-    reader: BufReader<std::fs::File>,
+    reader: BufReader<BoundedLines<std::fs::File>>,
     number: usize,
     buffer: Vec<u8>,
 }
@@ -88,6 +94,8 @@ impl Lines<'_> {
 
 struct Block {
     name: String,
+    kind: Option<Kind>,
+    unit: Option<String>,
     start_s: f64,
     interval_s: f64,
     values: Vec<f64>,
@@ -96,16 +104,18 @@ struct Block {
 impl Block {
     fn read(lines: &mut Lines) -> Result<Self, DataError> {
         let name = lines.need()?.trim().to_owned();
-        for _ in 0..5 {
+        let second = lines.need()?;
+        let kind = second.trim().strip_suffix(" record").and_then(Kind::of_name);
+        for _ in 0..4 {
             lines.need()?;
         }
         // Record 7: data type, number, spacing, first abscissa, increment.
         let form = lines.need()?;
         let field = |range: std::ops::Range<usize>| form.get(range).unwrap_or("").trim().to_owned();
-        let (kind, number, spacing) = (field(0..10), field(10..20), field(20..30));
+        let (form_of, number, spacing) = (field(0..10), field(10..20), field(20..30));
         let start_s: f64 = field(30..43).parse().unwrap_or(0.0);
         let interval_s: f64 = field(43..56).parse().unwrap_or(f64::NAN);
-        if !matches!(kind.as_str(), "2" | "4") || spacing != "1" {
+        if !matches!(form_of.as_str(), "2" | "4") || spacing != "1" {
             return Err(lines.wrong("only real data of even spacing make a channel"));
         }
         if !(interval_s.is_finite() && interval_s > 0.0) {
@@ -114,10 +124,14 @@ impl Block {
         let Ok(number) = number.parse::<usize>() else {
             return Err(lines.wrong("the number of samples cannot be read"));
         };
-        for _ in 0..4 {
+        // Records 8 to 11: the axes; 9 is the ordinate, its unit in the columns 48 to 67.
+        lines.need()?;
+        let ordinate = lines.need()?;
+        let unit = ordinate.get(47..).map(|unit| unit.get(..20).unwrap_or(unit).trim().to_owned());
+        for _ in 0..2 {
             lines.need()?;
         }
-        let width = if kind == "4" { 20 } else { 13 };
+        let width = if form_of == "4" { 20 } else { 13 };
         let mut values = Vec::new();
         loop {
             let line = lines.need()?;
@@ -131,7 +145,7 @@ impl Block {
                 }
             }
         }
-        Ok(Self { name, start_s, interval_s, values })
+        Ok(Self { name, kind, unit, start_s, interval_s, values })
     }
 }
 
