@@ -11,6 +11,7 @@ mod heat;
 mod heatmap;
 pub mod of_run;
 mod page;
+pub mod preview;
 pub mod run;
 mod series;
 mod style;

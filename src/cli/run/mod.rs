@@ -12,6 +12,7 @@ use crate::control::{Ending, Nrmse, StepSummary, TimingReport};
 use crate::model::ModelSpec;
 use crate::record::RunFolder;
 use crate::record::recorder::Notice;
+use crate::report::preview::preview_svg;
 use crate::report::{Table, of_run};
 use crate::rig::RigSpec;
 use crate::rig::hardware::HardwareMonitor;
@@ -57,6 +58,9 @@ pub struct Args {
     /// Show what the sweep asks of the table, and do not move it.
     #[arg(long)]
     preview: bool,
+    /// With --preview: write it as a figure to this file as well.
+    #[arg(long, requires = "preview", value_name = "FILE")]
+    svg: Option<PathBuf>,
     /// Folder below which the run folder is made.
     #[arg(long, default_value = "runs")]
     out: PathBuf,
@@ -107,6 +111,12 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let setup = setup(&args)?;
     let preview = setup.preview().map_err(refused)?;
     if args.preview {
+        if let Some(path) = &args.svg {
+            let figure =
+                preview_svg(&setup.schedule().map_err(refused)?, &preview).map_err(CliError::failed)?;
+            std::fs::write(path, figure)
+                .map_err(|error| CliError::failed(format!("cannot write {}: {error}", path.display())))?;
+        }
         return show::preview(&preview, args.json);
     }
     let cpu = args.cpu.or_else(|| std::thread::available_parallelism().ok().map(|n| n.get() - 1));
