@@ -152,3 +152,34 @@ fn a_killed_run_keeps_its_samples_and_can_be_recovered() {
     let kept = reader.read(0, left).expect("reads");
     assert!(kept.windows(2).all(|pair| pair[1].sample.sequence == pair[0].sample.sequence + 1));
 }
+
+#[test]
+fn an_interrupt_stops_the_table_and_closes_the_run() {
+    let out = tempfile::tempdir().expect("folder");
+    let child = Command::new(env!("CARGO_BIN_EXE_shaketable"))
+        .args(["run", "--real-time", "--steps", "4.0..5.0", "--json", "--out"])
+        .arg(out.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("starts");
+    let folder = wait_for(|| Some(std::fs::read_dir(out.path()).ok()?.flatten().next()?.path()));
+    // Two seconds of samples: the table is in its first step.
+    wait_for(|| SampleReader::open(&folder.join("samples.h5")).ok().filter(|file| file.rows() > 2 * 2048));
+    let told = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill runs");
+    assert!(told.success());
+    let output = child.wait_with_output().expect("ends");
+    assert_eq!(output.status.code(), Some(0));
+    let report = json(&output);
+    assert_eq!((&report["outcome"], &report["lost_samples"]), (&"stopped".into(), &0.into()));
+    let reader = SampleReader::open(&folder.join("samples.h5")).expect("opens");
+    let rows = reader.read(0, reader.rows()).expect("reads");
+    let last = rows.last().expect("rows");
+    assert!(rows.len() < 20 * 2048, "the sweep would have gone on: {}", rows.len());
+    assert_eq!((last.command.velocity_m_s, last.command.acceleration_m_s2), (0.0, 0.0));
+    let jerk = |pair: &[shaketable::stream::Row]| {
+        (pair[1].command.acceleration_m_s2 - pair[0].command.acceleration_m_s2).abs() * 2048.0
+    };
+    let largest = rows.windows(2).map(jerk).fold(0.0, f64::max);
+    assert!(largest < 100.0, "the command is smooth to its end: {largest} m/s3");
+}

@@ -131,6 +131,9 @@ impl Chain {
             nrmse_a: a.nrmse(),
             nrmse_d: d.nrmse(),
             table_amplitude_ratio: table.harmonics[0].amplitude / step.acceleration_amplitude_m_s2,
+            table_acceleration: table.harmonics,
+            mass_acceleration: mass.harmonics,
+            relative_displacement: displacement.harmonics,
         })
     }
 }

@@ -3,6 +3,7 @@
 use super::timing::Phase;
 use crate::rig::RigFault;
 use crate::safety::{self, DetectorId};
+use crate::signal::{HARMONICS, Harmonic};
 use crate::sweep::Direction;
 use serde::{Deserialize, Serialize};
 
@@ -30,6 +31,16 @@ pub struct StepSummary {
     pub nrmse_d: f64,
     /// Fundamental of the measured table acceleration over A_G.
     pub table_amplitude_ratio: f64,
+    /// Fundamental and harmonics 2 to 5 of the table acceleration, m/s2; phases here and below against
+    /// the command's `a = A_G sin(phi)`, after the band-pass.
+    #[serde(default)]
+    pub table_acceleration: [Harmonic; HARMONICS],
+    /// The same of the absolute acceleration of the mass, m/s2.
+    #[serde(default)]
+    pub mass_acceleration: [Harmonic; HARMONICS],
+    /// The same of the relative displacement, m.
+    #[serde(default)]
+    pub relative_displacement: [Harmonic; HARMONICS],
 }
 
 /// Direction of a sweep, with the default that plain-data events need.
@@ -79,6 +90,8 @@ pub enum Ending {
 }
 
 /// One event; `cycle` counts control periods from 0.
+// Events go through a ring by value: a box would allocate on the control thread.
+#[allow(clippy::large_enum_variant)]
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
 pub enum Event {

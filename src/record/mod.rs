@@ -12,6 +12,7 @@ pub mod recover;
 pub mod salvage;
 pub mod samples;
 mod syncer;
+pub mod steps_csv;
 pub mod verify;
 
 pub use data::{Kind, Record};

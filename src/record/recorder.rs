@@ -7,6 +7,7 @@ use super::first_out::FirstOut;
 use super::folder::{LossReport, RunError, RunFolder, io};
 use super::samples::{SampleWriter, chunk_rows};
 use super::syncer::Syncer;
+use super::steps_csv;
 use crate::control::event::{Ending, Event, Nrmse, StepSummary};
 use crate::safety::DetectorId;
 use crate::stream::{RecorderEnd, Row};
@@ -76,30 +77,6 @@ pub struct Recorder {
     result: Recorded,
 }
 
-/// Head of `steps.csv`.
-pub const STEPS_HEAD: &str = "index,direction,frequency_hz,a_max_m_s2,excursion_m,model_a_max_m_s2,\
-                              model_excursion_m,nrmse_a,nrmse_d,table_amplitude_ratio";
-
-/// One line of `steps.csv`.
-pub fn steps_line(step: &StepSummary) -> String {
-    let direction = match step.direction {
-        crate::control::event::StepDirection::Forward => "forward",
-        crate::control::event::StepDirection::Backward => "backward",
-    };
-    format!(
-        "{},{direction},{},{},{},{},{},{},{},{}",
-        step.index,
-        step.frequency_hz,
-        step.a_max_m_s2,
-        step.excursion_m,
-        step.model_a_max_m_s2,
-        step.model_excursion_m,
-        step.nrmse_a,
-        step.nrmse_d,
-        step.table_amplitude_ratio
-    )
-}
-
 /// Room on the disk that is kept while a run goes on, bytes, twice: for the samples of the stop that a full
 /// disk brings (9 s of them), and for what is known at the end: events, table, manifest, report.
 const RESERVE_BYTES: u64 = 2 << 20;
@@ -145,7 +122,7 @@ impl Recorder {
             first_out: FirstOut::new(folder.first_out(), sample_rate_hz),
             result: Recorded::default(),
         };
-        let head = writeln!(recorder.steps, "{STEPS_HEAD}").and_then(|()| recorder.steps.flush());
+        let head = writeln!(recorder.steps, "{}", steps_csv::head()).and_then(|()| recorder.steps.flush());
         head.map_err(io(&folder.steps()))?;
         Ok(recorder)
     }
@@ -331,7 +308,7 @@ impl Recorder {
             match event {
                 Event::Step(step) => {
                     let outcome =
-                        writeln!(self.steps, "{}", steps_line(&step)).and_then(|()| self.steps.flush());
+                        writeln!(self.steps, "{}", steps_csv::line(&step)).and_then(|()| self.steps.flush());
                     self.note(outcome.map_err(|error| format!("steps.csv: {error}")));
                     self.result.steps.push(step);
                 }

@@ -3,9 +3,9 @@
 
 use super::chain::{LINK_ROWS, Link, RowChain};
 use super::folder::{LossReport, Manifest, RunError, RunFolder, RunState, io};
-use super::recorder::{STEPS_HEAD, steps_line};
 use super::salvage::readable_rows;
 use super::samples::{ROW_BYTES, SampleWriter, chunk_rows, encode};
+use super::steps_csv;
 use super::verify::links;
 use crate::control::clock::Clock as _;
 use crate::control::setup::{Setup, SetupError};
@@ -104,10 +104,11 @@ pub fn recover(folder: &RunFolder) -> Result<Recovered, RecoverError> {
     let cut = trim_events(folder)?;
     let setup = Setup::of_run(&manifest)?;
     let (steps, error) = replay_steps(&setup, &rows)?;
-    let mut table = format!("{STEPS_HEAD}\n");
+    let mut table = format!("{}
+", steps_csv::head());
     for step in &steps {
         // Writing to a String cannot fail.
-        let _ = writeln!(table, "{}", steps_line(step));
+        let _ = writeln!(table, "{}", steps_csv::line(step));
     }
     std::fs::write(folder.steps(), table).map_err(io(&folder.steps()))?;
     let said = [

@@ -34,7 +34,7 @@ impl CyclePlace {
 }
 
 /// `amplitude sin(h phi + phase)`.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Harmonic {
     /// Amplitude, in the unit of the channel.
     pub amplitude: f64,

@@ -1,12 +1,13 @@
 //! `shaketable run`: drives a sweep on the rig, shows it, leaves a run folder.
 
 pub(crate) mod hardware;
+mod interrupt;
 mod show;
 
 use super::{CliError, Outcome};
 use crate::config::builtin::find;
 use crate::config::{Case, ConfigError};
-use crate::control::session::{self, Finished, Pace, Plan};
+use crate::control::session::{self, Finished, Pace, Plan, Session};
 use crate::control::setup::{Setup, SetupError, model_of_case};
 use crate::control::{Ending, Nrmse, StepSummary, TimingReport};
 use crate::model::ModelSpec;
@@ -17,6 +18,7 @@ use crate::report::{Table, of_run};
 use crate::rig::RigSpec;
 use crate::rig::hardware::HardwareMonitor;
 use crate::sweep::SweepSpec;
+use interrupt::Interrupts;
 use std::path::{Path, PathBuf};
 
 /// Drive a sweep on the table and record it.
@@ -127,7 +129,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     };
     let started = std::time::Instant::now();
     let mut progress = show::Progress::new(&setup.schedule().map_err(refused)?, setup.rig.sample_rate_hz);
-    let finished = drive(&setup, &args.out, pace, &mut |notice| progress.notice(notice))?;
+    let finished = drive_listening(&setup, &args.out, pace, &mut |notice| progress.notice(notice))?;
     progress.finish();
     let table = write_report(&finished.folder, &finished.steps);
     let wall_s = started.elapsed().as_secs_f64();
@@ -157,7 +159,29 @@ pub(super) fn drive(
     show: &mut dyn FnMut(&Notice),
 ) -> Result<Finished, CliError> {
     let (plan, links) = connect(setup, out, pace)?;
+    finish(session::start(plan).map_err(CliError::failed)?, links, show)
+}
+
+/// As [`drive`], and stops the table at Ctrl-C.
+fn drive_listening(
+    setup: &Setup,
+    out: &Path,
+    pace: Pace,
+    show: &mut dyn FnMut(&Notice),
+) -> Result<Finished, CliError> {
+    let (plan, links) = connect(setup, out, pace)?;
+    let interrupts = Interrupts::listen().map_err(CliError::failed)?;
     let session = session::start(plan).map_err(CliError::failed)?;
+    interrupts.stop(session.operator()).map_err(CliError::failed)?;
+    finish(session, links, show)
+}
+
+/// Waits for the end of a run, and looks at the links of real devices.
+fn finish(
+    session: Session,
+    links: Option<HardwareMonitor>,
+    show: &mut dyn FnMut(&Notice),
+) -> Result<Finished, CliError> {
     if let Some(state) = &session.manifest().real_time {
         eprintln!("{}", state.line());
     }
