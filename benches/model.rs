@@ -148,7 +148,9 @@ fn model(c: &mut Criterion) {
         });
     });
     group.bench_function("general solver, cubic-stiffness, 1e-8", |b| {
-        b.iter(|| black_box(sweep_history(&smooth, steps, DT, &options, &mut history).expect("runs").contacts));
+        b.iter(|| {
+            black_box(sweep_history(&smooth, steps, DT, &options, &mut history).expect("runs").contacts)
+        });
     });
     group.bench_function("differential-equations, dop853, 1e-8", |b| b.iter(|| black_box(by_crate(steps))));
     group.finish();

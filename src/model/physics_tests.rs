@@ -147,11 +147,8 @@ fn grazing_a_bumper_or_a_knee_is_decided_by_the_last_digits() {
     let peak = v0 / (k / m).sqrt();
     for short in [1e-6, 1e-9, 1e-12, -1e-12, -1e-9, -1e-6] {
         let mut bumper = oscillator(m, k, 0.0);
-        bumper.bumper = Some(BumperSpec {
-            stiffness_n_m: 5e5,
-            damping_n_s_m: 300.0,
-            total_gap_m: 2.0 * (peak - short),
-        });
+        bumper.bumper =
+            Some(BumperSpec { stiffness_n_m: 5e5, damping_n_s_m: 300.0, total_gap_m: 2.0 * (peak - short) });
         let mut knee = oscillator(m, k, 0.0);
         knee.isolator.stiffness_n_m = vec![k, 0.5 * k];
         knee.isolator.breakpoints_m = vec![peak - short];

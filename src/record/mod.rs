@@ -11,8 +11,8 @@ pub mod recorder;
 pub mod recover;
 pub mod salvage;
 pub mod samples;
-mod syncer;
 pub mod steps_csv;
+mod syncer;
 pub mod verify;
 
 pub use data::{Kind, Record};

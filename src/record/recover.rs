@@ -104,8 +104,11 @@ pub fn recover(folder: &RunFolder) -> Result<Recovered, RecoverError> {
     let cut = trim_events(folder)?;
     let setup = Setup::of_run(&manifest)?;
     let (steps, error) = replay_steps(&setup, &rows)?;
-    let mut table = format!("{}
-", steps_csv::head());
+    let mut table = format!(
+        "{}
+",
+        steps_csv::head()
+    );
     for step in &steps {
         // Writing to a String cannot fail.
         let _ = writeln!(table, "{}", steps_csv::line(step));

@@ -13,13 +13,16 @@ const HEAD_PX: f64 = 44.0;
 /// Room between groups, px.
 const BETWEEN_PX: f64 = 16.0;
 
+/// Name of a group, names of its columns, values by row and column.
+pub type HeatGroup = (String, Vec<String>, Vec<Vec<Option<f64>>>);
+
 /// Groups of columns over common rows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeatMap {
     /// Names of the rows.
     pub rows: Vec<String>,
     /// Name, column names, and values by row and column (per cent; `None` leaves a cell empty).
-    pub groups: Vec<(String, Vec<String>, Vec<Vec<Option<f64>>>)>,
+    pub groups: Vec<HeatGroup>,
     /// Value at which the colour is full, per cent.
     pub full: f64,
     /// Values run from 0 to `full` instead of both ways.

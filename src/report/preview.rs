@@ -45,7 +45,7 @@ pub fn preview_svg(schedule: &Schedule, preview: &Preview) -> Result<String, Rep
     let (width_px, height_px) = (SIZE_PX.0, SIZE_PX.1 * values.len() as f64);
     let mut svg =
         format!("<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width_px}\" height=\"{height_px}\">\n");
-    for (i, (quantity, values)) in preview.quantities().iter().zip(&values).enumerate() {
+    for (i, (quantity, values)) in Preview::quantities().iter().zip(&values).enumerate() {
         let limit = (quantity.allowed)(preview.capacity()) * quantity.scale;
         let asked = preview.worst(quantity).map_or(0.0, |(asked, _)| asked * quantity.scale);
         let range = 1.1 * limit.max(asked);

@@ -114,7 +114,7 @@ fn a_stop_is_obeyed_in_every_state() {
         (&[&TO_RUNNING[..], &[trip]].concat(), State::Aborting),
         (&[&TO_RUNNING[..], &[trip, (6, Event::Rest)]].concat(), State::Aborted),
     ];
-    assert_eq!(ways.clone().map(|(_, state)| state), State::ALL);
+    assert_eq!(ways.map(|(_, state)| state), State::ALL);
     for (way, state) in ways {
         let (mut supervisor, _) = timeline(way);
         assert_eq!(supervisor.state(), state);

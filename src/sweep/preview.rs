@@ -145,11 +145,6 @@ impl Preview {
         &self.rows
     }
 
-    /// What is checked: displacement, velocity, acceleration, jerk, force.
-    pub fn quantities(&self) -> &'static [Quantity] {
-        &QUANTITIES
-    }
-
     /// The rig's limits.
     pub fn capacity(&self) -> &Capacity {
         &self.capacity

@@ -210,8 +210,11 @@ fn inject(state: State, fault: Fault, seed: u64) -> Injected {
     Injected { end, cause, decision_periods }
 }
 
+/// How often each fault in each state ended in which way.
+type Tally = BTreeMap<(usize, State), BTreeMap<String, u64>>;
+
 /// All of a table: by fault, by state, what happened how often.
-fn table(instants: u64) -> (String, BTreeMap<(usize, State), BTreeMap<String, u64>>) {
+fn table(instants: u64) -> (String, Tally) {
     let mut jobs = Vec::new();
     for fault in 0..FAULTS.len() {
         for state in State::ALL {

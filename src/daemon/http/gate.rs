@@ -1,8 +1,8 @@
 //! The gate before every handler: host, origin, rate, right. One table says which right an endpoint needs;
 //! what is not in it is refused. Nothing behind the gate looks at tokens again.
 
-use super::{App, LARGEST_BODY};
 use super::error::ApiError;
+use super::{App, LARGEST_BODY};
 use crate::daemon::access::{Right, Rights};
 use axum::extract::{ConnectInfo, MatchedPath, Request, State};
 use axum::http::{HeaderMap, Method, header};

@@ -98,7 +98,10 @@ pub async fn health(State(app): State<Arc<App>>) -> Json<Health> {
         timing: status.ended.map(|ended| ended.timing),
         slips,
         lost_samples,
-        links: app.desk.links().map(|all| all.into_iter().map(|(name, count)| Count { name, count }).collect()),
+        links: app
+            .desk
+            .links()
+            .map(|all| all.into_iter().map(|(name, count)| Count { name, count }).collect()),
         journal: app.desk.journal.failed(),
     })
 }

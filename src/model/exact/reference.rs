@@ -117,7 +117,11 @@ fn independent(spec: &ModelSpec, schedule: &Schedule) -> (Vec<(f64, f64)>, usize
                     if middle <= low || middle >= high {
                         break;
                     }
-                    if fails(&advance(&regime, t, t + middle, y)).is_none() { low = middle } else { high = middle }
+                    if fails(&advance(&regime, t, t + middle, y)).is_none() {
+                        low = middle
+                    } else {
+                        high = middle
+                    }
                 }
                 let after = advance(&regime, t, t + high, y);
                 let corner = fails(&after).expect("fails there");

@@ -23,7 +23,8 @@ impl Closed {
     /// undamped piece driven close to its own frequency (`frequencies`, rad/s).
     pub fn new(piece: &Piece, frequencies: &[f64], length: f64) -> Option<Self> {
         let centre = if piece.constant == 0.0 { 0.0 } else { -piece.constant / piece.stiffness };
-        if !(centre.abs() <= 1e4 * length) {
+        let within = centre.abs() <= 1e4 * length;
+        if !within {
             return None;
         }
         let resonant = |w: &f64| {

@@ -149,7 +149,7 @@ pub fn steps(tree: &Path, conditions: &[Condition]) -> Result<Answer, DataError>
     let parts = std::thread::scope(|scope| {
         let threads: Vec<_> = files
             .chunks(share)
-            .map(|files| scope.spawn(move || files.iter().map(|file| read(file)).collect::<Vec<_>>()))
+            .map(|files| scope.spawn(move || files.iter().map(read).collect::<Vec<_>>()))
             .collect();
         let joined = threads.into_iter().map(|thread| thread.join());
         joined.map(|part| part.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect::<Vec<_>>()
