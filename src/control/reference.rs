@@ -23,6 +23,11 @@ impl References {
         Self { points: vec![rest; REMEMBERED as usize], periods: 0, offset: None, drifted: 0, agreeing: 0 }
     }
 
+    /// Nothing has been commanded yet: what the table was found to hold stands for whatever was before.
+    pub fn begin_at(&mut self, rest: CommandPoint) {
+        self.points.fill(rest);
+    }
+
     /// The command of the period that begins.
     pub fn push(&mut self, point: CommandPoint) {
         self.points[(self.periods % REMEMBERED) as usize] = point;

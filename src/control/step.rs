@@ -227,7 +227,7 @@ impl Controller {
         self.lap(Phase::Simulate);
     }
 
-    /// Periods without a command: sweep or stop go on, so that the phase is kept.
+    /// Periods without a command: the drive coasts, sweep or stop go on, so that the phase is kept.
     fn skip(&mut self, periods: u64) {
         let forgotten = self.references.forget(periods);
         match &mut self.guard {
@@ -235,7 +235,10 @@ impl Controller {
             None => self.generator.skip(forgotten),
         }
         for _ in forgotten..periods {
-            let point = self.next_point();
+            let point = match &mut self.guard {
+                Some(guard) => guard.coast(&mut self.generator),
+                None => self.generator.next_point(),
+            };
             self.references.push(point);
         }
     }
@@ -250,6 +253,9 @@ impl Controller {
                 self.last_fault = None;
                 self.note_gap(&sample);
                 self.now.sample = sample;
+                if let Some(held) = self.guard.as_mut().and_then(|guard| guard.hold(&sample)) {
+                    self.references.begin_at(held);
+                }
                 self.now.reference = self.references.of(sample.sequence);
                 self.lap(Phase::Acquire);
                 true

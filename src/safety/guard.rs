@@ -3,6 +3,7 @@
 //! changes the command of the same period; nothing in here goes back to the sweep by itself (SR-14).
 
 use super::observation::{Observation, Period, Setup};
+use super::rejoin::{Rejoin, coast};
 use super::spec::{DetectorId, SafetySpec, Stops};
 use super::stop::{Decay, MinimumJerkStop, Return};
 use super::supervisor::{Event, Order, Refusal, Rules, State, Supervisor};
@@ -14,6 +15,11 @@ use std::time::Duration;
 
 /// How far from its command a table at rest may be measured to be for arming, m.
 const HELD_M: f64 = 1e-3;
+/// A stop or return goes on after periods without a command if the drive is off it by no more than this: m, m/s.
+const OFF_M: f64 = 1e-5;
+const OFF_M_S: f64 = 1e-3;
+/// Time without a command after which a drive stops by itself, s.
+const COAST_S: f64 = 0.1;
 
 /// Where the command comes from.
 #[derive(Clone, Copy, Debug)]
@@ -82,6 +88,12 @@ pub struct Guard {
     source: Source,
     periods: u64,
     last: CommandPoint,
+    /// Periods without a command since the last one.
+    coasted: u64,
+    /// Where the source of commands stood in the last of them.
+    passed: Command,
+    /// The way back to the sweep, and the periods since it began.
+    rejoin: Option<(Rejoin, u64)>,
     amplitude_m_s2: f64,
     measured: Option<Sample>,
     returns: bool,
@@ -116,6 +128,9 @@ impl Guard {
             source: Source::Rest,
             periods: 0,
             last: CommandPoint { command: rest, jerk_m_s3: 0.0, phase: None, segment: Segment::StartRamp },
+            coasted: 0,
+            passed: rest,
+            rejoin: None,
             amplitude_m_s2: spec.detection.acceleration_floor_m_s2,
             measured: None,
             returns: false,
@@ -135,19 +150,21 @@ impl Guard {
 
     /// Shows a sample to the detectors.
     pub fn observe(&mut self, observation: &Observation) {
-        if self.measured.is_none() {
-            self.hold(&observation.sample);
-        }
         self.measured = Some(observation.sample);
         self.watch.observe(observation);
     }
 
-    /// SR-05: until it is armed, the table is commanded to be where it was first measured to be.
-    fn hold(&mut self, sample: &Sample) {
+    /// SR-05: until it is armed, the table is commanded to be where it was first measured to be. Tells the first sample
+    /// from the others: gives the place to be held, once.
+    pub fn hold(&mut self, sample: &Sample) -> Option<CommandPoint> {
+        if self.measured.is_some() {
+            return None;
+        }
         let place_m = sample.channels.table_displacement_m;
         if place_m.is_finite() && place_m.abs() > self.stops.centre_tolerance_m {
             self.last.command = Command { displacement_m: place_m, ..Command::default() };
         }
+        Some(self.last)
     }
 
     /// Whether there is anything to command: not before the table has been measured.
@@ -283,6 +300,72 @@ impl Guard {
 
     /// The command of the next period.
     pub fn next_point(&mut self, generator: &mut Generator) -> CommandPoint {
+        if self.coasted > 0 {
+            self.come_back(generator);
+        } else {
+            let point = self.source_point(generator);
+            self.last = self.rejoining(point);
+        }
+        self.last
+    }
+
+    /// A period without a command: the drive goes on along the last one, until it stops by itself; sweep, stop or
+    /// return go on beside it, so that the phase is kept.
+    pub fn coast(&mut self, generator: &mut Generator) -> CommandPoint {
+        let point = self.source_point(generator);
+        self.coasted += 1;
+        self.passed = point.command;
+        let command = if self.coasted as f64 * self.period_s <= COAST_S {
+            coast(&self.last.command, self.period_s)
+        } else {
+            Command { displacement_m: self.last.command.displacement_m, ..Command::default() }
+        };
+        self.last = CommandPoint { command, ..off_course(point) };
+        self.last
+    }
+
+    /// SR-17: the first command after periods without one lies where the drive has gone by itself. From there the sweep
+    /// is joined again; a stop or a return from which the drive has strayed becomes a stop from there.
+    fn come_back(&mut self, generator: &mut Generator) {
+        let point = self.coast(generator);
+        self.coasted = 0;
+        let (here, there) = (point.command, self.passed);
+        let off = Command {
+            displacement_m: here.displacement_m - there.displacement_m,
+            velocity_m_s: here.velocity_m_s - there.velocity_m_s,
+            acceleration_m_s2: here.acceleration_m_s2 - there.acceleration_m_s2,
+        };
+        if matches!(self.source, Source::Sweep) {
+            self.rejoin = Some((Rejoin::new(&off, &point, &self.stops, &self.capacity), 0));
+        } else if off.displacement_m.abs() > OFF_M || off.velocity_m_s.abs() > OFF_M_S {
+            self.returns |= matches!(self.source, Source::Return(_));
+            self.stop_at_once();
+        } else {
+            self.last.command = there;
+        }
+    }
+
+    /// A point of the sweep with what is left of the distance to it.
+    fn rejoining(&mut self, point: CommandPoint) -> CommandPoint {
+        let Some((rejoin, periods)) = &mut self.rejoin else { return point };
+        *periods += 1;
+        let time_s = *periods as f64 * self.period_s;
+        let off = rejoin.at(time_s);
+        if time_s >= rejoin.duration_s() {
+            self.rejoin = None;
+            return point;
+        }
+        let Command { displacement_m, velocity_m_s, acceleration_m_s2 } = point.command;
+        let command = Command {
+            displacement_m: displacement_m + off.displacement_m,
+            velocity_m_s: velocity_m_s + off.velocity_m_s,
+            acceleration_m_s2: acceleration_m_s2 + off.acceleration_m_s2,
+        };
+        CommandPoint { command, ..off_course(point) }
+    }
+
+    /// Where the source of commands stands in the next period.
+    fn source_point(&mut self, generator: &mut Generator) -> CommandPoint {
         self.periods += 1;
         let time_s = self.periods as f64 * self.period_s;
         let rest = Command { velocity_m_s: 0.0, acceleration_m_s2: 0.0, ..self.last.command };
@@ -316,13 +399,11 @@ impl Guard {
         };
         let segment =
             if self.supervisor.state() < State::Running { Segment::StartRamp } else { Segment::Done };
-        self.last = CommandPoint { command, jerk_m_s3: 0.0, phase: None, segment };
-        self.last
+        CommandPoint { command, jerk_m_s3: 0.0, phase: None, segment }
     }
 
     fn of_sweep(&mut self, generator: &mut Generator) -> CommandPoint {
         let point = generator.next_point();
-        self.last = point;
         if let Some(phase) = point.phase {
             self.amplitude_m_s2 = phase.acceleration_amplitude_m_s2;
         }
@@ -346,14 +427,16 @@ impl Guard {
     fn enter(&mut self, source: Source) {
         self.source = source;
         self.periods = 0;
+        self.rejoin = None;
     }
 
     /// Tells the supervisor what has come to rest, and notes how the run ends.
     fn conclude(&mut self, generator: &mut Generator) {
         let before = self.supervisor.state();
-        if before.moves() && matches!(self.source, Source::Rest) {
+        let on_course = self.coasted == 0 && self.rejoin.is_none();
+        if before.moves() && matches!(self.source, Source::Rest) && on_course {
             self.tell(Event::Rest, generator);
-        } else if matches!(self.source, Source::Sweep) && generator.is_done() {
+        } else if matches!(self.source, Source::Sweep) && generator.is_done() && on_course {
             self.enter(Source::Rest);
             self.tell(Event::Done, generator);
         }
@@ -430,4 +513,10 @@ impl Guard {
         }
         news
     }
+}
+
+/// A point at which the table is not on the sweep, though the sweep's phase is kept.
+fn off_course(point: CommandPoint) -> CommandPoint {
+    let segment = if point.segment == Segment::Step { Segment::Rejoin } else { point.segment };
+    CommandPoint { segment, ..point }
 }

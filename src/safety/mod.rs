@@ -9,6 +9,7 @@ pub mod detect;
 pub mod guard;
 pub mod judge;
 pub mod observation;
+mod rejoin;
 pub mod spec;
 pub mod stop;
 pub mod supervisor;

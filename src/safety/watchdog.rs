@@ -74,6 +74,10 @@ impl Watchdog {
 
 impl Drop for Watchdog {
     fn drop(&mut self) {
+        // A thread that dies takes its watchdog with it; the drive must not go on without either.
+        if std::thread::panicking() {
+            self.line.open();
+        }
         self.over.store(true, Ordering::Release);
         if let Some(thread) = self.thread.take() {
             Thread::unpark(thread.thread());

@@ -28,7 +28,7 @@ pub struct CyclePlace {
 impl CyclePlace {
     /// The place of a commanded sample; `None` in ramps and transitions.
     pub fn of(point: &CommandPoint) -> Option<Self> {
-        let phase = point.phase.filter(|_| point.segment == Segment::Step)?;
+        let phase = point.phase.filter(|_| matches!(point.segment, Segment::Step | Segment::Rejoin))?;
         Some(Self { index: phase.index, cycles: phase.phase_rad / TAU, counted: phase.counted })
     }
 }

@@ -18,6 +18,8 @@ pub enum Segment {
     StartRamp,
     /// In a step: settling, counted or held cycles.
     Step,
+    /// In a step, but on the way back to its sine after control periods without a command.
+    Rejoin,
     /// Between two steps.
     Transition,
     /// From the last step to rest.

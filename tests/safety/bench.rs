@@ -91,9 +91,15 @@ impl Bench {
 
     /// One control period; how the run ended, once it has.
     pub fn step(&mut self) -> Option<Ending> {
-        let ending = self.controller.step(Tick { periods: 1, ..Tick::default() });
+        self.step_after(1)
+    }
+
+    /// The same after so many periods, all but the last of which went by without the control thread.
+    pub fn step_after(&mut self, periods: u64) -> Option<Ending> {
+        let latency_ns = (periods - 1) * 488_281;
+        let ending = self.controller.step(Tick { periods, latency_ns, ..Tick::default() });
         self.cycle += 1;
-        if self.cycle.is_multiple_of(512) || ending.is_some() {
+        if self.cycle.is_multiple_of(512) || periods > 1 || ending.is_some() {
             self.drain();
         }
         ending

@@ -9,5 +9,6 @@ mod faults;
 mod pages;
 mod requirements;
 mod roc;
+mod slips;
 mod stops;
 mod watchdog;

@@ -5,6 +5,7 @@ use crate::bench::in_parallel;
 use crate::pages::write_section;
 use rand::{Rng as _, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use shaketable::config::Case;
 use shaketable::control::setup::{Setup, model_of_case};
 use shaketable::model::ModelSpec;
 use shaketable::rig::simulated::FoldbackSpec;
@@ -31,7 +32,7 @@ fn random(seed: u64) -> Setup {
     let gap = rng.random_range(1..=4);
     let bumper = if rng.random_bool(0.7) { 4 } else { rng.random_range(1..=3) };
     let acceleration = ["0.03", "0.04", "0.05", "0.07", "0.10"][rng.random_range(0..5)];
-    let case = format!("B{bumper}-G{gap}-{acceleration}").parse().expect("a case");
+    let case: Case = format!("B{bumper}-G{gap}-{acceleration}").parse().expect("a case");
     let mut off = |value: &mut f64| *value *= rng.random_range(0.8..1.2);
     let model = model_of_case(&case);
     let mut specimen: ModelSpec = model.clone();
@@ -62,13 +63,19 @@ fn random(seed: u64) -> Setup {
     table.acceleration_feedforward = 1.0 + 0.1 * (table.platen_mass_kg / 1500.0 - 1.0);
     table.foldback = Some(fold);
     let sweep = SweepSpec { acceleration_g: case.acceleration_g, cycles: 6, ..SweepSpec::paper() };
-    let sweep = sweep.restricted(0.5, 0.8).expect("in range");
+    let sweep = sweep.restricted(0.5, 1.5).expect("in range");
     Setup { rig, sweep, specimen, model, case: Some(case), seed, name: "roc".into() }
+}
+
+/// Whether the authors ran such a case: B4 at the two large gaps at 0.07 g, everything below.
+fn was_run(case: &Case) -> bool {
+    case.acceleration_g < 0.06 || (case.acceleration_g < 0.08 && case.bumper == 4 && case.gap >= 3)
 }
 
 /// One rig: when its drive folded back, and when each factor would have stopped it, s.
 #[derive(Clone, Debug)]
 struct Trial {
+    was_run: bool,
     folded_s: Option<f64>,
     frequency_hz: f64,
     trips_s: [Option<(f64, DetectorId)>; FACTORS.len()],
@@ -96,7 +103,8 @@ fn trial(setup: &Setup) -> Trial {
     let mut generator = Generator::new(&setup.schedule().expect("schedule"), setup.rig.sample_rate_hz);
     let mut model = setup.onboard_model().expect("model");
     let mut watches = watches(setup, rig.chain_delay_s());
-    let mut trial = Trial { folded_s: None, frequency_hz: 0.0, trips_s: [None; FACTORS.len()] };
+    let was_run = setup.case.as_ref().is_some_and(was_run);
+    let mut trial = Trial { was_run, folded_s: None, frequency_hz: 0.0, trips_s: [None; FACTORS.len()] };
     let mut last: Option<CommandPoint> = None;
     while !generator.is_done() {
         rig.advance();
@@ -133,18 +141,23 @@ fn percentile(sorted: &[f64], share: f64) -> f64 {
 
 /// One line a factor: false alarms among rigs that never folded, detections among those that did, time to abort.
 fn curve(trials: &[Trial]) -> (String, Vec<(f64, f64)>) {
-    let (bad, good): (Vec<&Trial>, Vec<&Trial>) = trials.iter().partition(|trial| trial.folded_s.is_some());
+    let (bad, calm): (Vec<&Trial>, Vec<&Trial>) = trials.iter().partition(|trial| trial.folded_s.is_some());
+    let (good, hard): (Vec<&Trial>, Vec<&Trial>) = calm.into_iter().partition(|trial| trial.was_run);
     let mut table = format!(
-        "{} rigs: {} never folded back, {} did.\n\n\
-         | factor on thresholds | false alarms | of rigs | detected | of folds | before the fold | fold to abort, table \
-         cycles: median | 95 % | worst |\n|---|---|---|---|---|---|---|---|---|\n",
+        "{} rigs: {} folded back; of those that never did, {} stood in cases that the authors ran and {} in cases that \
+         they could not. Only alarms in the former are counted as false.\n\n\
+         | factor on thresholds | false alarms | of rigs | stopped though never folded, in cases not run | detected | \
+         of folds | before the fold | fold to abort, table cycles: median | 95 % | worst |\n\
+         |---|---|---|---|---|---|---|---|---|---|\n",
         trials.len(),
+        bad.len(),
         good.len(),
-        bad.len()
+        hard.len()
     );
     let mut rates = Vec::new();
     for (i, factor) in FACTORS.iter().enumerate() {
         let alarms = good.iter().filter(|trial| trial.trips_s[i].is_some()).count();
+        let stopped = hard.iter().filter(|trial| trial.trips_s[i].is_some()).count();
         let mut delays: Vec<f64> = bad
             .iter()
             .filter_map(|trial| Some((trial.trips_s[i]?.0 - trial.folded_s?) * trial.frequency_hz))
@@ -154,7 +167,7 @@ fn curve(trials: &[Trial]) -> (String, Vec<(f64, f64)>) {
         let rate = |n: usize, of: usize| 100.0 * n as f64 / of.max(1) as f64;
         rates.push((rate(alarms, good.len()), rate(delays.len(), bad.len())));
         table += &format!(
-            "| {factor} | {alarms} | {:.2} % | {} | {:.2} % | {early} | {:.2} | {:.2} | {:.2} |\n",
+            "| {factor} | {alarms} | {:.2} % | {stopped} | {} | {:.2} % | {early} | {:.2} | {:.2} | {:.2} |\n",
             rates[i].0,
             delays.len(),
             rates[i].1,
@@ -181,7 +194,7 @@ fn draw(rates: &[(f64, f64)]) {
         .build_cartesian_2d(0.0..most, (least - 1.0)..100.5)
         .expect("drawn");
     let mut mesh = chart.configure_mesh();
-    mesh.x_desc("false alarms, % of rigs that never folded back")
+    mesh.x_desc("false alarms, % of rigs that never folded back in cases that were run")
         .y_desc("detected, % of folds")
         .draw()
         .expect("drawn");
@@ -202,14 +215,15 @@ fn trials(count: u64) -> Vec<Trial> {
 // SR-15
 #[test]
 fn a_few_random_rigs_are_told_apart() {
-    for trial in trials(6) {
+    for trial in trials(8) {
         let tripped = trial.trips_s[5];
         match trial.folded_s {
             Some(folded_s) => {
                 let cycles = tripped.map(|(at, _)| (at - folded_s) * trial.frequency_hz);
                 assert!(cycles.is_some_and(|cycles| cycles < 1.0), "{trial:?}");
             }
-            None => assert!(tripped.is_none(), "{trial:?}"),
+            None if trial.was_run => assert!(tripped.is_none(), "{trial:?}"),
+            None => {}
         }
     }
 }
@@ -221,8 +235,11 @@ fn false_alarms_and_detections_over_random_rigs() {
     let trials = trials(count);
     let (table, rates) = curve(&trials);
     println!("{table}");
-    for trial in trials.iter().filter(|trial| trial.folded_s.is_none() == trial.trips_s[5].is_some()).take(20)
-    {
+    let wrong = |trial: &&Trial| match trial.folded_s {
+        Some(_) => trial.trips_s[5].is_none(),
+        None => trial.was_run && trial.trips_s[5].is_some(),
+    };
+    for trial in trials.iter().filter(wrong).take(20) {
         println!("{trial:?}");
     }
     if std::env::var_os("WRITE_DOCS").is_some() {

@@ -100,8 +100,11 @@ impl Actuator {
     /// Opens a sample period: the command that is due now acts; without one, the last extrapolates.
     pub(super) fn begin_period(&mut self) {
         while self.taken < self.written && self.waiting[self.taken % DELAY_LINE].0 <= self.period {
-            self.active = self.waiting[self.taken % DELAY_LINE].1;
-            self.since_active_s = 0.0;
+            // A drive that stops by itself hears no commands.
+            if self.drive == Drive::Enabled {
+                self.active = self.waiting[self.taken % DELAY_LINE].1;
+                self.since_active_s = 0.0;
+            }
             self.taken += 1;
         }
         self.period += 1;

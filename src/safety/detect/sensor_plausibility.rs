@@ -17,6 +17,9 @@ const WARM_UP_S: f64 = 0.3;
 pub struct SensorPlausibility {
     acceleration: LowPass,
     displacement: LowPass,
+    /// The second derivative lets the laser's noise pass in full above the corner; once more through a low-pass, the
+    /// two sides alike.
+    smooth: [LowPass; 2],
     zero_m: f64,
     mean_m_s2: f64,
     mean_share: f64,
@@ -33,6 +36,7 @@ impl SensorPlausibility {
         Self {
             acceleration: LowPass::new(CORNER_HZ, sample_rate_hz),
             displacement: LowPass::of_second_derivative(CORNER_HZ, sample_rate_hz),
+            smooth: [LowPass::new(CORNER_HZ, sample_rate_hz); 2],
             zero_m: 0.0,
             mean_m_s2: 0.0,
             mean_share: 1.0 / (MEAN_S * sample_rate_hz),
@@ -52,7 +56,8 @@ impl SensorPlausibility {
         }
         let relative = c.channels.mass_acceleration_m_s2() - c.channels.table_acceleration_m_s2;
         let from_acceleration = self.acceleration.process(relative);
-        let off = from_acceleration - self.displacement.process(d - self.zero_m);
+        let off = self.smooth[0].process(from_acceleration - self.displacement.process(d - self.zero_m));
+        let from_acceleration = self.smooth[1].process(from_acceleration);
         self.warm = self.warm.saturating_add(1);
         if self.warm <= self.warm_up {
             return Estimate::Keep;
@@ -67,6 +72,7 @@ impl SensorPlausibility {
     fn restart(&mut self, d: f64) {
         self.acceleration.reset();
         self.displacement.reset();
+        self.smooth.iter_mut().for_each(LowPass::reset);
         self.difference.reset();
         self.level.reset();
         self.zero_m = d;
