@@ -8,8 +8,11 @@ use crate::model::general::{Line, Mode, Sliding, guard};
 use crate::model::sweep::Plan;
 use std::f64::consts::TAU;
 
-/// Events one after the other at the same instant before the motion goes on regardless.
-const CHATTER: u32 = 60;
+/// Events one after the other within this part of a sample before the motion goes on regardless, and
+/// the part.
+const CHATTER: (u32, f64) = (60, 1e-3);
+/// Stretches within one sample before it is taken regardless, as sample by sample.
+const PATIENCE: u32 = 600;
 
 /// A segment with the samples that it holds.
 pub struct Stretch<'a> {
@@ -62,7 +65,8 @@ impl Exact {
         plan: &Plan<'_>,
         watch: &mut dyn FnMut(&Stretch<'_>),
     ) -> usize {
-        let mut run = Run { exact: self, closed, plan, next: 0, contacts: 0, touched: [false; 2], idle: 0 };
+        let pace = Pace::new(plan.dt);
+        let mut run = Run { exact: self, closed, plan, next: 0, contacts: 0, touched: [false; 2], pace };
         for step in 0..plan.steps.len() {
             run.step(step, watch);
         }
@@ -132,7 +136,12 @@ impl Exact {
         }
         let rest = bumper.rest_m();
         if rest > 0.0 {
-            *limit = limit.min(((now + rest) / rest).ln() / bumper.relaxation_1_s());
+            let until = (now / rest).ln_1p() / bumper.relaxation_1_s();
+            // Back within the rounding of the time axis: a stretch of that length would never end.
+            if until <= 4.0 * f64::EPSILON * self.core.time_s() {
+                return 0.0;
+            }
+            *limit = limit.min(until);
         }
         now
     }
@@ -154,8 +163,39 @@ struct Run<'a, 'p> {
     next: usize,
     contacts: usize,
     touched: [bool; 2],
-    /// Events in a row without any time between them.
-    idle: u32,
+    pace: Pace,
+}
+
+/// Counts stretches that hardly take time, so that no run of them goes on for ever.
+struct Pace {
+    dt: f64,
+    /// Since the times below: stretches.
+    counts: [u32; 2],
+    /// Time of the step since which they are counted, s.
+    since: [f64; 2],
+}
+
+impl Pace {
+    fn new(dt: f64) -> Self {
+        Self { dt, counts: [0; 2], since: [0.0; 2] }
+    }
+
+    /// What to go on by regardless of events at a time of the step, s; `None` while the pace will do.
+    fn forced(&mut self, t: f64) -> Option<f64> {
+        let limits = [(CHATTER.0, CHATTER.1 * self.dt), (PATIENCE, self.dt)];
+        let mut forced = None;
+        for (i, (most, within)) in limits.into_iter().enumerate() {
+            // Times of a step begin anew with the step.
+            if !(0.0..within).contains(&(t - self.since[i])) {
+                (self.counts[i], self.since[i]) = (0, t);
+            }
+            self.counts[i] += 1;
+            if self.counts[i] > most {
+                forced = Some(within);
+            }
+        }
+        forced
+    }
 }
 
 impl Run<'_, '_> {
@@ -171,15 +211,13 @@ impl Run<'_, '_> {
             let (piece, segment) = self.exact.segment(self.closed, forcing);
             let mut limit = duration - t;
             let forms = self.exact.forms(&segment, &mut limit);
-            let (failure, length) = if self.idle < CHATTER {
-                forms.first_failure(&segment, limit)
-            } else {
-                (None, limit.min(1e-3 * self.exact.dt))
+            let (failure, length) = match self.pace.forced(t) {
+                None => forms.first_failure(&segment, limit),
+                Some(regardless) => (None, regardless.min(duration - t)),
             };
             if length > 0.0 {
                 self.count();
             }
-            self.idle = if length > 0.0 { 0 } else { self.idle + 1 };
             self.emit(step, piece, &segment, (t, length), watch);
             let (d, v) = segment.state(&segment.at(length));
             self.exact.core.place([d, v], length);
