@@ -3,6 +3,8 @@
 
 mod closed;
 mod plan;
+#[cfg(test)]
+mod precise;
 mod sampled;
 #[cfg(test)]
 mod tests;
