@@ -1,7 +1,9 @@
 //! `effect`: the catalogue, and effects into and out of model files.
 
+use super::reading::ReadingArgs;
 use super::{CliError, Outcome};
 use crate::config::{Check, ConfigError, builtin::find};
+use crate::diagnose::adding::{self, Added};
 use crate::model::effects::{self, CATALOGUE, Effect};
 use crate::model::{EffectSpec, ModelSpec, Scales, build};
 use crate::units::SAMPLE_RATE_HZ;
@@ -44,15 +46,24 @@ enum Action {
         /// Model file to write
         #[arg(short, long)]
         output: PathBuf,
-        /// A parameter as name=value; those left out get their starting values
+        /// A parameter as name=value; those left out get their starting values. A fit starts there
         #[arg(long = "param", value_parser = parse_parameter)]
         parameters: Vec<(String, f64)>,
         /// The expression of an `expression` effect
         #[arg(long)]
         expression: Option<String>,
+        /// Fit the parameters, and the model's own numbers with them, to this record (run folder or
+        /// data file)
+        #[arg(long, value_name = "RECORD")]
+        fit: Option<PathBuf>,
+        #[command(flatten)]
+        reading: ReadingArgs,
         /// Replace an existing file
         #[arg(long)]
         force: bool,
+        /// Print one JSON object
+        #[arg(long)]
+        json: bool,
     },
     /// Remove an effect from a model and write a new model file
     Remove {
@@ -81,15 +92,30 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         Action::Show { name, model, json } => {
             show(effects::find(&name).map_err(CliError::usage)?, &read_model(&model)?, json)?;
         }
-        Action::Add { name, model, output, parameters, expression, force } => {
-            let mut model = read_model(&model)?;
-            let scales = Scales::of_spec(&model, 1.0 / SAMPLE_RATE_HZ);
+        Action::Add { name, model, output, parameters, expression, fit, reading, force, json } => {
+            refuse_existing(&output, force)?;
+            let nominal = read_model(&model)?;
+            let scales = Scales::of_spec(&nominal, 1.0 / SAMPLE_RATE_HZ);
             let mut spec = effects::find(&name).map_err(CliError::usage)?.starting_spec(&scales);
-            spec.parameters.extend(parameters);
+            spec.parameters.extend(parameters.iter().cloned());
             spec.expression = expression;
-            model.name = format!("{}+{name}", model.name);
-            model.effects.push(spec);
-            write_model(&model, &output, force)?;
+            let mut model = nominal.clone();
+            model.effects.push(spec.clone());
+            refuse_invalid(&model)?;
+            let given: Vec<&str> = parameters.iter().map(|(name, _)| name.as_str()).collect();
+            let added = match fit {
+                None => None,
+                Some(record) => {
+                    let record = reading.of(record).open()?;
+                    Some(adding::add(&record, &nominal, &spec, &given).map_err(CliError::failed)?)
+                }
+            };
+            if let Some(added) = &added {
+                model = added.model.clone();
+            }
+            model.name = format!("{}+{name}", nominal.name);
+            write_model(&model, &output)?;
+            report(&model, added.as_ref(), json);
         }
         Action::Remove { name, model, output, force } => {
             let mut model = read_model(&model)?;
@@ -103,7 +129,8 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
             };
             model.effects.remove(index);
             model.name = model.name.replacen(&format!("+{name}"), "", 1);
-            write_model(&model, &output, force)?;
+            refuse_existing(&output, force)?;
+            write_model(&model, &output)?;
         }
     }
     Ok(Outcome::Done)
@@ -121,16 +148,53 @@ pub(super) fn read_model(name: &str) -> Result<ModelSpec, CliError> {
         .map_err(|error: ConfigError| CliError::Usage(error.into()))
 }
 
-fn write_model(model: &ModelSpec, output: &Path, force: bool) -> Result<(), CliError> {
-    model.check().map_err(|(key, reason)| CliError::usage(format!("{key}: {reason}")))?;
+fn refuse_invalid(model: &ModelSpec) -> Result<(), CliError> {
+    model.check().map_err(|(key, reason)| CliError::usage(format!("{key}: {reason}")))
+}
+
+fn refuse_existing(output: &Path, force: bool) -> Result<(), CliError> {
     if output.exists() && !force {
         return Err(CliError::usage(format!("{} exists; `--force` replaces it", output.display())));
     }
+    Ok(())
+}
+
+fn write_model(model: &ModelSpec, output: &Path) -> Result<(), CliError> {
+    refuse_invalid(model)?;
     let text = toml::to_string(model).map_err(CliError::failed)?;
     std::fs::write(output, text)
         .map_err(|error| CliError::failed(format!("cannot write {}: {error}", output.display())))?;
     eprintln!("wrote {}", output.display());
     Ok(())
+}
+
+/// What a fit found; nothing to say without one unless JSON is wanted.
+fn report(model: &ModelSpec, added: Option<&Added>, json: bool) {
+    if json {
+        let fit = added.map(|added| {
+            serde_json::json!({
+                "parameters": added.parameters, "error_before": added.error_before,
+                "error_reidentified": added.error_reidentified, "error_after": added.error_after,
+                "noise_floor": added.noise_floor,
+            })
+        });
+        println!("{}", serde_json::json!({ "model": model, "fit": fit }));
+        return;
+    }
+    let Some(added) = added else { return };
+    for p in &added.parameters {
+        let (key, before, value, low, high) = (&p.key, p.before, p.value, p.low95, p.high95);
+        println!("{key:<28} {before:>14.6} -> {value:>14.6}  (95 %: {low:.6} to {high:.6})");
+    }
+    if let [Some(before), Some(without), Some(after), Some(floor)] =
+        [added.error_before, added.error_reidentified, added.error_after, added.noise_floor]
+            .map(|error| error.map(|error| 100.0 * error))
+    {
+        println!(
+            "held-out error {before:.3} %, re-fitted without the effect {without:.3} %, with it {after:.3} %, \
+             noise floor {floor:.3} %"
+        );
+    }
 }
 
 fn list(json: bool) {

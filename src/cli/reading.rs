@@ -10,6 +10,13 @@ use std::path::PathBuf;
 pub struct ReadArgs {
     /// Run folder or data file (Parquet, CSV, HDF5, MAT v7.3, UFF58)
     pub record: PathBuf,
+    #[command(flatten)]
+    reading: ReadingArgs,
+}
+
+/// How to understand a record.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ReadingArgs {
     /// Column of a role: `role=column`, `role=-column` (sign turned) or `role=column:unit`, such as
     /// `relative_displacement_m=laser:mm`; may be repeated
     #[arg(long, value_name = "ROLE=COLUMN")]
@@ -26,14 +33,22 @@ pub struct ReadArgs {
     pub rate: Option<f64>,
 }
 
+impl ReadingArgs {
+    /// With the record that they are about.
+    pub fn of(self, record: PathBuf) -> ReadArgs {
+        ReadArgs { record, reading: self }
+    }
+}
+
 impl ReadArgs {
     /// The options as the reader takes them.
     ///
     /// # Errors
     /// [`CliError::Usage`] when the description of the columns is not one.
     pub fn options(&self) -> Result<ReadOptions, CliError> {
-        let mut options = ReadOptions { map: self.map.clone(), kind: self.kind, sample_rate_hz: self.rate };
-        if let Some(path) = &self.columns {
+        let ReadingArgs { map, columns, kind, rate } = &self.reading;
+        let mut options = ReadOptions { map: map.clone(), kind: *kind, sample_rate_hz: *rate };
+        if let Some(path) = columns {
             options.describe(path).map_err(CliError::usage)?;
         }
         Ok(options)

@@ -1,6 +1,7 @@
 //! Which physical effect is missing from the model: instruments first, then parameters, then
 //! effects.
 
+pub mod adding;
 pub mod candidates;
 pub mod engine;
 pub mod instruments;

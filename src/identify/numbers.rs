@@ -1,7 +1,7 @@
 //! Which numbers of a model a fit may move, how far, and how they are put back.
 
 use super::least_squares::Free;
-use crate::model::effects::{self, Parameter, Sign};
+use crate::model::effects::{self, Parameter, Place, Sign};
 use crate::model::{ModelSpec, Scales};
 
 /// Share of a 95 % half-width that is one standard deviation.
@@ -87,11 +87,29 @@ impl Numbers {
     pub fn add_effect(&mut self, spec: &ModelSpec, index: usize, scales: &Scales) {
         let Some(given) = spec.effects.get(index) else { return };
         let Ok(effect) = effects::find(&given.name) else { return };
+        if effect.place == Place::User {
+            given.parameters.iter().for_each(|(name, value)| self.add_own(index, name, *value));
+            return;
+        }
         for parameter in (effect.parameters)(scales) {
             if let Some(start) = given.parameters.get(parameter.name) {
                 self.add_parameter(&format!("effect[{index}].{}", parameter.name), &parameter, *start);
             }
         }
+    }
+
+    /// A parameter of the user's own expression: of either sign, its magnitude as written, or 1.
+    fn add_own(&mut self, index: usize, name: &str, value: f64) {
+        let key = format!("effect[{index}].{name}");
+        let size = if value == 0.0 { 1.0 } else { value.abs() };
+        self.numbers.push(Number { key: key.clone(), logarithmic: false });
+        self.free.push(Free {
+            key,
+            start: value,
+            scale: 0.1 * size,
+            prior: (value, 10.0 * size),
+            bounds: (value - 100.0 * size, value + 100.0 * size),
+        });
     }
 
     fn add_parameter(&mut self, key: &str, parameter: &Parameter, start: f64) {
