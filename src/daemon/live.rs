@@ -385,12 +385,18 @@ mod tests {
         assert!(hub.join(5.0).is_none(), "more than {MOST_CLIENTS}");
         // A client whose queue is full when it changes its window gets the past of the new one later.
         while raw.queue.try_recv().is_ok() {}
-        for n in 0..80 {
-            hub.show(&rows(30_000 + 33 * n, 33), Meters::default());
+        let mut shown = 0;
+        // At this resolution two rows of 33 make one frame.
+        while raw.queue.len() < QUEUE {
+            hub.show(&rows(30_000 + 33 * shown, 33), Meters::default());
+            shown += 1;
+            assert!(shown < 10 * QUEUE as u64, "the queue never fills");
         }
         hub.window(raw.id, 5.0);
-        while raw.queue.try_recv().is_ok() {}
-        hub.show(&rows(30_000 + 33 * 80, 33), Meters::default());
+        while let Ok(message) = raw.queue.try_recv() {
+            assert_ne!(head(&message).0, REPLACES, "there was no room for it");
+        }
+        hub.show(&rows(30_000 + 33 * shown, 33), Meters::default());
         assert_eq!(head(&raw.queue.try_recv().expect("past")).0, REPLACES);
         hub.leave(raw.id);
         assert!(hub.join(5.0).is_some());
