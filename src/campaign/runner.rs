@@ -14,7 +14,7 @@ use crate::control::setup::Setup;
 use crate::control::{Ending, StepSummary};
 use crate::record::folder::{self, RunState};
 use crate::record::recorder::Notice;
-use crate::record::{Manifest, RunFolder};
+use crate::record::{Manifest, RunFolder, steps_csv};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -420,8 +420,7 @@ fn finished_runs(runs: &Path) -> BTreeMap<String, PathBuf> {
 fn adopt(path: &Path, blank: &CaseResult) -> Option<CaseResult> {
     let folder = RunFolder::open(path).ok()?;
     let manifest = folder.manifest().ok()?;
-    let mut reader = csv::Reader::from_path(folder.steps()).ok()?;
-    let steps: Vec<StepSummary> = reader.deserialize().collect::<Result<_, _>>().ok()?;
+    let steps = steps_csv::read(&folder.steps()).ok()?;
     let schedule = Setup::of_run(&manifest).ok()?.schedule().ok()?;
     let at_hz = schedule.steps().get(steps.len()).map(|step| step.frequency_hz);
     Some(filled(blank.clone(), &manifest, steps, at_hz))

@@ -1,9 +1,11 @@
 //! The lines of `steps.csv`: a step each, with its peaks, the model's, their difference, and the harmonics
-//! of table and mass. The recorder appends them; `recover` writes them anew.
+//! of table and mass. The recorder appends them; `recover` writes them anew; campaigns and the daemon read
+//! them back, value for value.
 
 use crate::control::event::{StepDirection, StepSummary};
 use crate::signal::{HARMONICS, Harmonic};
 use std::fmt::Write as _;
+use std::path::Path;
 
 /// Columns before the harmonics.
 const SCALARS: &str = "index,direction,frequency_hz,a_max_m_s2,excursion_m,model_a_max_m_s2,model_excursion_m,\
@@ -51,6 +53,45 @@ pub fn line(step: &StepSummary) -> String {
     line
 }
 
+/// All lines of a `steps.csv`. Harmonics of files that were written without them are zero.
+///
+/// # Errors
+/// When the file cannot be read or a value is missing or none.
+pub fn read(path: &Path) -> Result<Vec<StepSummary>, csv::Error> {
+    let mut reader = csv::Reader::from_path(path)?;
+    let header = reader.headers()?.clone();
+    let at = |name: &str| header.iter().position(|column| column == name);
+    let mut places = Vec::new();
+    for (channel, unit) in CHANNELS {
+        for order in 1..=HARMONICS {
+            let amplitude = at(&format!("{channel}_h{order}_{unit}"));
+            places.push(amplitude.zip(at(&format!("{channel}_h{order}_phase_rad"))));
+        }
+    }
+    let step = |record: csv::StringRecord| {
+        let mut step: StepSummary = record.deserialize(Some(&header))?;
+        let harmonics = (step.table_acceleration.iter_mut())
+            .chain(&mut step.mass_acceleration)
+            .chain(&mut step.relative_displacement);
+        for (harmonic, place) in harmonics.zip(&places) {
+            let Some((amplitude, phase)) = *place else { continue };
+            *harmonic =
+                Harmonic { amplitude: number(&record, amplitude)?, phase_rad: number(&record, phase)? };
+        }
+        Ok(step)
+    };
+    reader.records().map(|record| step(record?)).collect()
+}
+
+fn number(record: &csv::StringRecord, at: usize) -> Result<f64, csv::Error> {
+    let text = record.get(at).unwrap_or_default();
+    text.parse().map_err(|_| {
+        let line = record.position().map_or(0, csv::Position::line);
+        let text = format!("line {line}, column {}: `{text}` is no number", at + 1);
+        csv::Error::from(std::io::Error::new(std::io::ErrorKind::InvalidData, text))
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -77,5 +118,34 @@ mod tests {
         ] {
             assert!(row.contains(&pair), "{pair:?} in {row:?}");
         }
+    }
+
+    #[test]
+    fn lines_are_read_back_value_for_value() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("steps.csv");
+        let mut step = StepSummary {
+            index: 1,
+            direction: StepDirection::Backward,
+            nrmse_a: 1.0 / 3.0,
+            ..StepSummary::default()
+        };
+        let harmonics = (step.table_acceleration.iter_mut())
+            .chain(&mut step.mass_acceleration)
+            .chain(&mut step.relative_displacement);
+        for (harmonic, n) in harmonics.zip(1..) {
+            *harmonic = Harmonic { amplitude: f64::from(n) / 7.0, phase_rad: -f64::from(n) / 11.0 };
+        }
+        let steps = [StepSummary { frequency_hz: 0.1 + 0.2, ..StepSummary::default() }, step];
+        let lines: Vec<String> = steps.iter().map(line).collect();
+        std::fs::write(&path, format!("{}\n{}\n", head(), lines.join("\n"))).expect("written");
+        assert_eq!(read(&path).expect("read"), steps);
+        // A file without harmonics; a number that is none.
+        let scalars = lines[0].split(',').take(SCALARS.split(',').count()).collect::<Vec<_>>().join(",");
+        std::fs::write(&path, format!("{SCALARS}\n{scalars}\n")).expect("written");
+        assert_eq!(read(&path).expect("read"), steps[..1]);
+        std::fs::write(&path, format!("{}\n{scalars},x{}\n", head(), ",0".repeat(6 * HARMONICS - 1)))
+            .expect("written");
+        assert!(read(&path).expect_err("no number").to_string().contains("`x` is no number"));
     }
 }

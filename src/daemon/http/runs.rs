@@ -255,8 +255,7 @@ pub async fn steps(
 }
 
 fn read_steps(folder: &RunFolder) -> Result<Vec<crate::control::StepSummary>, ApiError> {
-    let mut reader = csv::Reader::from_path(folder.steps()).map_err(ApiError::failed)?;
-    reader.deserialize().collect::<Result<_, _>>().map_err(ApiError::failed)
+    crate::record::steps_csv::read(&folder.steps()).map_err(ApiError::failed)
 }
 
 /// The events of a run, a JSON object a line
