@@ -93,14 +93,18 @@ fn of_file(args: &Args) -> Result<Plan, CliError> {
     setup.replay_plan(samples, command, &args.out).map_err(CliError::failed)
 }
 
-/// Whether the rows are the recorded ones, bit by bit; how many a full ring had dropped before each is not
-/// theirs to repeat.
+/// Whether the rows are the recorded ones, bit by bit. How many a full ring had dropped before each is not theirs to
+/// repeat, nor is the supervisor's state: nothing moves, so nothing is supervised.
 fn same(rows: &[Row], finished: &Finished) -> Result<bool, CliError> {
     let (again, _) = readable_rows(&finished.folder).map_err(CliError::failed)?;
     let rate = finished.manifest.sample_rate_hz;
     let bytes = |row: &Row| {
         let mut bytes = Vec::with_capacity(crate::record::samples::ROW_BYTES);
-        crate::record::samples::encode(&Row { lost_before: 0, ..*row }, rate, &mut bytes);
+        crate::record::samples::encode(
+            &Row { lost_before: 0, supervisor_state: 0, ..*row },
+            rate,
+            &mut bytes,
+        );
         bytes
     };
     Ok(again.len() == rows.len() && again.iter().zip(rows).all(|(a, b)| bytes(a) == bytes(b)))

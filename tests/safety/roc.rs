@@ -130,7 +130,10 @@ fn trial(setup: &Setup) -> Trial {
             break;
         }
         last = Some(point);
-        rig.write(&point.command).expect("a healthy rig");
+        // A table that has lost its command may run into its stops, where its drive trips: that ends the trial.
+        if rig.write(&point.command).is_err() {
+            break;
+        }
     }
     trial
 }
