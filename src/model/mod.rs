@@ -6,6 +6,7 @@
 mod check;
 pub mod contact;
 pub mod effects;
+mod elementary;
 mod error;
 pub mod exact;
 pub mod general;

@@ -70,6 +70,7 @@ impl<const N: usize> Step<N> {
     }
 
     /// State at a part of the step, 0 to 1.
+    #[inline]
     pub fn at(&self, part: f64) -> [f64; N] {
         let rest = 1.0 - part;
         let [d, a, b, c] = &self.dense;

@@ -326,6 +326,7 @@ impl<const N: usize> General<N> {
     }
 
     /// The response of a state of this mode.
+    #[inline]
     pub fn response_of(&self, y: &[f64; N], forces: &Forces) -> Response {
         Response {
             relative_displacement_m: y[0],
@@ -465,16 +466,28 @@ impl<const N: usize> Specimen for General<N> {
     }
 }
 
-impl<const N: usize> Sweepable for General<N> {
-    fn stretch(&mut self, duration: f64, drive: Sine, visit: &mut StretchVisit<'_>) {
+impl<const N: usize> General<N> {
+    /// [`Sweepable::stretch`] of a system that is `PLAIN` or not.
+    fn stretch_of<const PLAIN: bool>(&mut self, duration: f64, drive: Sine, visit: &mut StretchVisit<'_>) {
         self.advance(duration, drive, Motion::Free, &mut |solver, begin, end, step| {
+            let (mode, layout) = (&solver.mode, &solver.layout);
             let state = |part: f64, table: f64| {
                 let (y, time_s) = (step.at(part), solver.time_s + begin + part * (end - begin));
-                let forces = solver.system.rates((time_s, table), &y, &solver.mode, &solver.layout, None).1;
+                let forces = solver.system.rates_of::<N, PLAIN>((time_s, table), &y, mode, layout, None).1;
                 solver.response_of(&y, &forces)
             };
-            visit(begin, end, solver.mode.contact, &state);
+            visit(begin, end, mode.contact, &state);
         });
+    }
+}
+
+impl<const N: usize> Sweepable for General<N> {
+    fn stretch(&mut self, duration: f64, drive: Sine, visit: &mut StretchVisit<'_>) {
+        if self.system.is_plain() {
+            self.stretch_of::<true>(duration, drive, visit);
+        } else {
+            self.stretch_of::<false>(duration, drive, visit);
+        }
         self.table = Some(drive.at(duration));
     }
 }
