@@ -3,6 +3,7 @@
 //! step within which no form can reach zero, so that no crossing, nor a pair of them, is missed.
 
 use super::segment::{Instant, Segment};
+use crate::model::elementary::exp;
 
 /// Forms that one regime may need: two knees, two for each bumper, two for the bearings.
 pub const FORMS: usize = 8;
@@ -92,13 +93,22 @@ impl Form {
             bound: w * w * forced_bound + bound,
         };
         if self.tip.0 != 0.0 {
-            let (tip, rate) = (self.tip.0 * (-self.tip.1 * t).exp(), self.tip.1);
+            let (tip, rate) = (self.tip.0 * exp(-self.tip.1 * t), self.tip.1);
             local.value += tip;
             local.slope -= rate * tip;
             local.curvature += rate * rate * tip;
             local.bound += rate * rate * tip.abs();
         }
         local
+    }
+
+    /// Between which values it stays from one instant to another.
+    pub fn range(&self, segment: &Segment, ends: &[(f64, Instant); 2]) -> (f64, f64) {
+        let bound = self.forced_bound(segment);
+        let [start, end] = [&ends[0], &ends[1]].map(|(t, now)| self.local(segment, now, *t, bound));
+        // A chord with a curve of bounded curvature over it.
+        let rise = 0.125 * start.bound * (ends[1].0 - ends[0].0).powi(2);
+        (start.value.min(end.value) - rise, start.value.max(end.value) + rise)
     }
 
     /// It stays above zero from now on.
@@ -119,14 +129,32 @@ impl Form {
 
     /// Size below which a value is rounding alone.
     fn rounding(&self, segment: &Segment, forced_bound: f64) -> f64 {
-        let start = segment.start();
+        let start = segment.at(0.0);
         let (z, rate) = start.free;
         let size = self.constant.abs() + forced_bound + (self.free.0 * z).abs() + (self.free.1 * rate).abs();
         8.0 * f64::EPSILON * (size + self.tip.0.abs())
     }
 }
 
+/// Where a segment ends.
+#[derive(Clone, Copy, Debug)]
+pub struct End {
+    /// The guard that fails; none when none does until the time.
+    pub guard: Option<usize>,
+    /// Time since the beginning of the segment, s.
+    pub time_s: f64,
+    /// Parts of the motion then.
+    pub now: Instant,
+}
+
 impl Local {
+    /// Halley's step to the root nearby, s.
+    #[inline]
+    fn halley(&self) -> f64 {
+        let bent = 2.0 * self.slope * self.slope - self.value * self.curvature;
+        -2.0 * self.value * self.slope / bent
+    }
+
     /// Time within which value + slope t - bound t^2/2 stays above zero.
     #[inline]
     fn step(&self) -> f64 {
@@ -177,16 +205,16 @@ impl Forms {
         }
     }
 
-    /// The first form that falls through zero before `duration` s: its guard and the time, s. Without
-    /// a guard: none fails until the time.
-    pub fn first_failure(mut self, segment: &Segment, duration: f64) -> (Option<usize>, f64) {
+    /// The first form that falls through zero before `duration` s.
+    pub fn first_failure(mut self, segment: &Segment, duration: f64) -> End {
+        let mut now = segment.at(0.0);
         let mut t = 0.0;
+        let lasts = || End { guard: None, time_s: duration, now: segment.at(duration) };
         for round in 0..PATIENCE {
-            let now = segment.at(t);
             if round % 4 == 0 {
                 self.drop_safe(segment, &now);
                 if self.count == 0 {
-                    return (None, duration);
+                    return lasts();
                 }
             }
             let mut steps = [f64::INFINITY; FORMS];
@@ -195,7 +223,7 @@ impl Forms {
                 let here = self.forms[i].local(segment, &now, t, self.bounds[i]);
                 steps[i] = self.safe_step(i, segment, &now, &here);
                 if steps[i] <= 0.0 {
-                    return (Some(self.forms[i].guard), t);
+                    return End { guard: Some(self.forms[i].guard), time_s: t, now };
                 }
                 if i == 0 || steps[i] < steps[nearest] {
                     (nearest, local) = (i, Some(here));
@@ -203,22 +231,23 @@ impl Forms {
             }
             let step = steps[nearest];
             if t + step >= duration {
-                return (None, duration);
+                return lasts();
             }
             if let Some(end) = local.and_then(|local| local.certain())
                 && end >= step
                 && (0..self.count).all(|i| i == nearest || steps[i] > end)
             {
-                let root = t + self.polish(nearest, segment, t, (step, end));
-                return if root < duration {
-                    (Some(self.forms[nearest].guard), root)
-                } else {
-                    (None, duration)
-                };
+                let (after, then) = self.polish(nearest, segment, t, (step, end));
+                let time_s = t + after;
+                if time_s >= duration {
+                    return lasts();
+                }
+                return End { guard: Some(self.forms[nearest].guard), time_s, now: then };
             }
             t += step;
+            now = segment.at(t);
         }
-        (None, t)
+        End { guard: None, time_s: t, now }
     }
 
     /// Time within which a form does not fall below zero; zero when it does at once. At a value that is
@@ -252,52 +281,71 @@ impl Forms {
         second.max(if third > 0.0 { here.curvature / third } else { f64::INFINITY })
     }
 
-    /// The only root of a falling form between two times after `t`, to the last bits (Halley).
-    fn polish(&self, i: usize, segment: &Segment, t: f64, (mut low, mut high): (f64, f64)) -> f64 {
+    /// The only root of a falling form between two times after `t`, to the last bits (Halley), and the
+    /// parts of the motion there.
+    fn polish(&self, i: usize, segment: &Segment, t: f64, (mut low, mut high): (f64, f64)) -> (f64, Instant) {
         let tolerance = f64::EPSILON * (t + high);
         let mut at = low;
+        let mut now = segment.at(t + at);
         for _ in 0..60 {
-            let now = segment.at(t + at);
             let here = self.forms[i].local(segment, &now, t + at, self.bounds[i]);
             if here.value > 0.0 {
                 low = at;
             } else {
                 high = at;
             }
-            let bent = 2.0 * here.slope * here.slope - here.value * here.curvature;
-            let step = -2.0 * here.value * here.slope / bent;
-            let next = at + step;
+            let step = here.halley();
             // Halley's error falls with the cube of the step.
             let ratio = here.bound / here.slope.abs();
             if step.abs() * (step * ratio).powi(2) <= tolerance {
-                return next.clamp(low, high);
+                let next = (at + step).clamp(low, high);
+                return (next, segment.beside(t + at, &now, next - at));
             }
+            let next = at + step;
             at = if next > low && next < high { next } else { 0.5 * (low + high) };
+            now = segment.at(t + at);
             if high - low <= tolerance {
                 break;
             }
         }
-        at
+        (at, now)
     }
 }
 
-/// Calls `near` with every time around which a form may vanish between two times, to half a sample:
-/// between two such times it keeps its sign.
-pub fn zeros(form: &Form, segment: &Segment, (from, to): (f64, f64), dt: f64, mut near: impl FnMut(f64)) {
+/// Calls `near` with every time around which a form may vanish between two times, to half a sample, and
+/// with the parts of the motion then: between two such times it keeps its sign.
+pub fn zeros(
+    form: &Form,
+    segment: &Segment,
+    (from, to): (f64, f64),
+    dt: f64,
+    mut near: impl FnMut(f64, &Instant),
+) {
     let bound = form.forced_bound(segment);
     let mut t = from;
+    let mut now = segment.at(t);
     while t < to {
-        let now = segment.at(t);
         let mut here = form.local(segment, &now, t, bound);
         if here.value < 0.0 {
-            (here.value, here.slope) = (-here.value, -here.slope);
+            (here.value, here.slope, here.curvature) = (-here.value, -here.slope, -here.curvature);
         }
         let step = here.step();
-        if step < 0.5 * dt {
-            near(t);
+        if step >= 0.5 * dt {
+            // Close to the only root of a falling form Halley's step ends within a part of a sample of it.
+            let jump = here.halley();
+            let ratio = here.bound / here.slope.abs();
+            let sure = here.certain().is_some_and(|end| jump >= step && jump <= end)
+                && jump * (jump * ratio).powi(2) < 0.1 * dt;
+            t += if sure { jump } else { step };
+            now = segment.at(t);
+            if !sure {
+                continue;
+            }
+        }
+        if t < to {
+            near(t, &now);
+            now = segment.beside(t, &now, 0.5 * dt);
             t += 0.5 * dt;
-        } else {
-            t += step;
         }
     }
 }

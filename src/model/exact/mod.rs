@@ -18,5 +18,5 @@ mod vibration;
 pub(in crate::model) use form::{Form, zeros};
 pub use input::{Input, Wave};
 pub use propagator::Exact;
-pub(in crate::model) use segment::{Closed, ROW, Tables, Turns};
+pub(in crate::model) use segment::{Closed, Instant, ROW, Tables, Turns};
 pub(in crate::model) use sweep::Stretch;

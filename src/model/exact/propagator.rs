@@ -2,7 +2,7 @@
 
 use super::super::general::{Drive, General, Line, Mode, Sliding};
 use super::super::system::System;
-use super::super::{Options, Response, Specimen};
+use super::super::{Options, Regime, Response, Specimen};
 use super::input::{Input, Wave};
 use super::piece::{Piece, Transition};
 
@@ -18,7 +18,11 @@ pub struct Exact {
     pub(super) pieces: Vec<Piece>,
     holds: Vec<Transition>,
     pub(super) dt: f64,
+    /// 1/dt, 1/s.
+    rate: f64,
     friction: bool,
+    /// Piece and regime of the present mode, kept beside it for samples without an event.
+    current: (usize, Regime),
 }
 
 impl Exact {
@@ -40,7 +44,16 @@ impl Exact {
         let holds = pieces.iter().map(|piece| piece.hold(dt)).collect();
         let friction = system.friction.is_some();
         let core = General::new(system, &Options { tolerance: 1e-12 });
-        Ok(Self { core, pieces, holds, dt, friction })
+        let mut exact =
+            Self { core, pieces, holds, dt, rate: 1.0 / dt, friction, current: (0, Regime::default()) };
+        exact.note_mode();
+        Ok(exact)
+    }
+
+    /// To be called whenever the mode may have changed.
+    pub(super) fn note_mode(&mut self) {
+        let mode = self.core.mode();
+        self.current = (self.index(mode), mode.regime());
     }
 
     pub(super) fn index(&self, mode: &Mode) -> usize {
@@ -53,26 +66,33 @@ impl Exact {
         ((mode.segment + knees) as usize * 4 + contact) * 3 + sliding
     }
 
-    /// Advances one sample under an input given by its two numbers and as a series. `transitions`
-    /// belong to that input.
+    /// Advances one sample under an input, to where the piece's transition leads if no event comes between.
     #[inline]
-    fn sample<I: Input + Drive>(
-        &mut self,
-        transitions: &[Transition],
-        (p, q): (f64, f64),
-        input: I,
-        end: f64,
-    ) {
-        let index = self.index(self.core.mode());
+    fn sample<I: Input + Drive>(&mut self, end: (f64, f64), input: I) {
         let [d, v] = *self.core.state();
-        if !matches!(self.core.mode().sliding, Sliding::Stick) {
-            let (d1, v1) = transitions[index].apply(d, v, p, q);
-            if self.undisturbed(&self.pieces[index], (d, v), (d1, v1)) {
-                self.core.place([d1, v1], self.dt);
+        let (index, regime) = self.current;
+        let piece = &self.pieces[index];
+        let (low, high) = piece.range;
+        // Most samples: free or not, on the way within reach of nothing.
+        let passes = v * end.1 > 0.0 && d.min(end.0) > low && d.max(end.0) < high;
+        if passes && !(regime.right_contact || regime.left_contact || regime.sticking) {
+            self.core.place([end.0, end.1], self.dt);
+            return;
+        }
+        self.careful(end, input);
+    }
+
+    /// [`Exact::sample`] where an event may lie in it.
+    #[inline(never)]
+    fn careful<I: Input + Drive>(&mut self, end: (f64, f64), input: I) {
+        let [d, v] = *self.core.state();
+        if self.current.1.sticking {
+            if self.holds_still(Input::at(&input, 0.0), Input::at(&input, self.dt)) {
+                self.core.place([d, 0.0], self.dt);
                 return;
             }
-        } else if self.holds_still(p, end) {
-            self.core.place([d, 0.0], self.dt);
+        } else if self.undisturbed(&self.pieces[self.current.0], (d, v), end) {
+            self.core.place([end.0, end.1], self.dt);
             return;
         }
         self.search(input, 0.0, self.dt);
@@ -155,8 +175,8 @@ impl Exact {
         let mut t = from;
         for event in 0..=PATIENCE {
             let state = *self.core.state();
-            let held = self.core.mode().sliding == Sliding::Stick;
-            let series = self.pieces[self.index(self.core.mode())].series((state[0], state[1]), input, t);
+            let held = self.current.1.sticking;
+            let series = self.pieces[self.current.0].series((state[0], state[1]), input, t);
             let rest = to - t;
             let at = |part: f64| if held { [state[0], 0.0] } else { series.at(part * rest).into() };
             let failure = if event < PATIENCE { self.core.failure(t, rest, input, at) } else { None };
@@ -164,6 +184,7 @@ impl Exact {
                 Some((guard, part)) => {
                     t += part * rest;
                     self.core.enter(at(part), guard, t, input);
+                    self.note_mode();
                 }
                 None => {
                     self.core.set_state(at(1.0));
@@ -175,9 +196,9 @@ impl Exact {
 
     /// Advances one sample within one step of an ideal sweep, or across the end of one.
     pub(in crate::model) fn wave_sample(&mut self, waves: &[Transition], wave: Wave) {
-        // The end matters only while friction holds.
-        let end = if self.friction { Input::at(&wave, self.dt) } else { 0.0 };
-        self.sample(waves, (wave.value, wave.quadrature), wave, end);
+        let [d, v] = *self.core.state();
+        let end = waves[self.current.0].apply(d, v, wave.value, wave.quadrature);
+        self.sample(end, wave);
     }
 
     /// Transitions of all pieces under a sine of this angular frequency, rad/s.
@@ -196,23 +217,27 @@ impl Exact {
     /// The response at the present instant under the table acceleration there, m/s2.
     #[inline]
     pub(in crate::model) fn respond(&self, table: f64) -> Response {
-        let (mode, system) = (self.core.mode(), self.core.system());
         let [d, v] = *self.core.state();
-        let piece = &self.pieces[self.index(mode)];
-        let side = |touches: bool, sign: f64, gap: f64| {
-            if touches { system.bumper.force_n(sign * d - gap, sign * v) } else { 0.0 }
-        };
-        let sticking = mode.sliding == Sliding::Stick;
-        let acceleration =
-            if sticking { table } else { -(piece.stiffness * d + piece.damping * v + piece.constant) };
-        Response {
+        let (index, regime) = self.current;
+        let piece = &self.pieces[index];
+        let moving = -(piece.stiffness * d + piece.damping * v + piece.constant);
+        let mut response = Response {
             relative_displacement_m: d,
             relative_velocity_m_s: v,
-            mass_acceleration_m_s2: acceleration,
-            right_contact_force_n: side(mode.contact[0], 1.0, system.gap_right_m),
-            left_contact_force_n: side(mode.contact[1], -1.0, system.gap_left_m),
-            regime: mode.regime(),
+            mass_acceleration_m_s2: if regime.sticking { table } else { moving },
+            right_contact_force_n: 0.0,
+            left_contact_force_n: 0.0,
+            regime,
+        };
+        if regime.right_contact || regime.left_contact {
+            let system = self.core.system();
+            let side = |touches: bool, sign: f64, gap: f64| {
+                if touches { system.bumper.force_n(sign * d - gap, sign * v) } else { 0.0 }
+            };
+            response.right_contact_force_n = side(regime.right_contact, 1.0, system.gap_right_m);
+            response.left_contact_force_n = side(regime.left_contact, -1.0, system.gap_left_m);
         }
+        response
     }
 
     /// Which bumpers touch.
@@ -290,21 +315,23 @@ fn pieces(system: &System) -> Vec<Piece> {
 impl Specimen for Exact {
     fn reset(&mut self) {
         self.core.reset();
+        self.note_mode();
     }
 
     fn step(&mut self, table_acceleration_m_s2: f64) -> Response {
         let end = table_acceleration_m_s2;
         let start = self.core.table().unwrap_or(end);
-        let line = Line { start, slope: (end - start) / self.dt };
-        let holds = std::mem::take(&mut self.holds);
-        self.sample(&holds, (start, end), line, end);
-        self.holds = holds;
+        let [d, v] = *self.core.state();
+        let state = self.holds[self.current.0].apply(d, v, start, end);
+        self.sample(state, Line { start, slope: (end - start) * self.rate });
         self.core.prime(end);
         self.respond(end)
     }
 
     fn impose(&mut self, relative_displacement_m: f64, relative_velocity_m_s: f64) -> Response {
-        self.core.impose(relative_displacement_m, relative_velocity_m_s)
+        let response = self.core.impose(relative_displacement_m, relative_velocity_m_s);
+        self.note_mode();
+        response
     }
 
     fn prime(&mut self, table_acceleration_m_s2: f64) {

@@ -3,9 +3,12 @@
 
 use super::piece::Piece;
 use super::vibration::Vibration;
+use crate::model::elementary::sin_cos;
 
 /// Samples that are evaluated in one go.
 pub const ROW: usize = 64;
+/// Samples that are taken beside each other.
+const LANES: usize = 4;
 
 /// What a piece needs for closed form.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +32,7 @@ impl Closed {
         }
         let resonant = |w: &f64| {
             let (re, im) = (piece.stiffness - w * w, piece.damping * w);
-            re.hypot(im) < 1e-3 * piece.stiffness.max(w * w)
+            re * re + im * im < 1e-6 * piece.stiffness.max(w * w).powi(2)
         };
         if frequencies.iter().any(resonant) {
             return None;
@@ -91,15 +94,13 @@ impl Segment {
         Self { closed: *closed, angular_frequency: w, forced, free, held: None }
     }
 
-    /// The parts at its beginning.
-    pub fn start(&self) -> Instant {
-        Instant { forced: self.forced, free: self.free }
-    }
-
     /// The parts after a time, s.
     #[inline]
     pub fn at(&self, t: f64) -> Instant {
-        let (sin, cos) = (self.angular_frequency * t).sin_cos();
+        if t == 0.0 {
+            return Instant { forced: self.forced, free: self.free };
+        }
+        let (sin, cos) = sin_cos(self.angular_frequency * t);
         let (re, im) = self.forced;
         let forced = (re * cos - im * sin, re * sin + im * cos);
         let free = if self.held.is_some() {
@@ -108,6 +109,47 @@ impl Segment {
             self.closed.free.advance(self.free, self.closed.free.fundamental(t))
         };
         Instant { forced, free }
+    }
+
+    /// The parts a short time after (or before) an instant at a time, s: by power series, which near an
+    /// instant take a third of the work.
+    pub fn beside(&self, t: f64, now: &Instant, after: f64) -> Instant {
+        // 1/(n (n - 1)) for the terms from n = 2 on.
+        const INVERSE: [f64; 7] =
+            [1.0 / 2.0, 1.0 / 6.0, 1.0 / 12.0, 1.0 / 20.0, 1.0 / 30.0, 1.0 / 42.0, 1.0 / 56.0];
+        let free = &self.closed.free;
+        let fastest = self.angular_frequency.max(free.stiffness.sqrt()).max(2.0 * free.decay);
+        if fastest * after.abs() > 0.05 {
+            return self.at(t + after);
+        }
+        // Two terms do where the third is below rounding.
+        let tiny = fastest * after.abs() < 5e-6;
+        let turn = self.angular_frequency * after;
+        let (sin, cos) = if tiny { (turn, 1.0 - 0.5 * turn * turn) } else { sin_cos(turn) };
+        let (re, im) = now.forced;
+        let forced = (re * cos - im * sin, re * sin + im * cos);
+        if self.held.is_some() {
+            return Instant { forced, free: now.free };
+        }
+        if tiny {
+            let (z, rate) = now.free;
+            let bend = free.curvature(now.free);
+            let third = free.curvature((rate, bend));
+            let x = z + after * (rate + 0.5 * after * bend);
+            return Instant { forced, free: (x, rate + after * (bend + 0.5 * after * third)) };
+        }
+        // x_n after^n, and the same of the rate.
+        let (mut last, mut term) = (now.free.0, now.free.1 * after);
+        let (mut x, mut rate) = (last + term, term);
+        for (n, inverse) in INVERSE.iter().enumerate() {
+            let m = n as f64 + 1.0;
+            let bend = 2.0 * free.decay * m * term + free.stiffness * after * last;
+            (last, term) = (term, -after * inverse * bend);
+            x += term;
+            rate += (m + 1.0) * term;
+        }
+        let rate = if after == 0.0 { now.free.1 } else { rate / after };
+        Instant { forced, free: (x, rate) }
     }
 
     /// Displacement (m) and velocity (m/s) at an instant.
@@ -180,6 +222,30 @@ impl Segment {
         }
     }
 
+    /// Smallest and largest displacement and largest size of the acceleration among `count` samples from
+    /// `first` s on, of a mass that is not held.
+    pub fn extremes(&self, first: f64, count: usize, tables: &Tables, turns: &Turns) -> [f64; 3] {
+        let mut now = self.at(first);
+        let (mut d, mut v, mut a) = ([0.0; ROW], [0.0; ROW], [0.0; ROW]);
+        let mut found = [f64::INFINITY, f64::NEG_INFINITY, 0.0];
+        for done in (0..count).step_by(ROW) {
+            let n = ROW.min(count - done);
+            self.row(&now, tables, turns, &mut d[..n], &mut v[..n], &mut a[..n]);
+            if n < ROW {
+                // Filled up with what cannot be more extreme.
+                let (one, other) = (d[0], a[0]);
+                d[n..].fill(one);
+                a[n..].fill(other);
+            }
+            let [low, high, most] = row_extremes(&d, &a);
+            found = [found[0].min(low), found[1].max(high), found[2].max(most)];
+            let ((re, im), (cos, sin)) = (now.forced, turns.whole);
+            now.forced = (re * cos - im * sin, re * sin + im * cos);
+            now.free = self.closed.free.advance(now.free, tables.whole);
+        }
+        found
+    }
+
     fn fill_held(&self, mut now: Instant, turns: &Turns, d: &mut [f64], v: &mut [f64], a: &mut [f64]) {
         d.fill(self.held.unwrap_or(0.0));
         v.fill(0.0);
@@ -192,6 +258,23 @@ impl Segment {
             now.forced = (re * cos - im * sin, re * sin + im * cos);
         }
     }
+}
+
+/// Smallest and largest of one row and largest size in another; lanes beside each other, since a single
+/// chain of comparisons would wait for itself.
+fn row_extremes(d: &[f64; ROW], a: &[f64; ROW]) -> [f64; 3] {
+    // The smallest as the largest of the negative: so all three become vector instructions.
+    let (mut low, mut high, mut most) = ([-d[0]; LANES], [d[0]; LANES], [0.0_f64; LANES]);
+    for (d, a) in d.chunks_exact(LANES).zip(a.chunks_exact(LANES)) {
+        for lane in 0..LANES {
+            let (x, size) = (d[lane], a[lane].abs());
+            low[lane] = if -x > low[lane] { -x } else { low[lane] };
+            high[lane] = if x > high[lane] { x } else { high[lane] };
+            most[lane] = if size > most[lane] { size } else { most[lane] };
+        }
+    }
+    let largest = |lanes: [f64; LANES]| lanes.into_iter().fold(f64::NEG_INFINITY, f64::max);
+    [-largest(low), largest(high), largest(most)]
 }
 
 /// Fundamental solutions of one piece at the samples of a row.

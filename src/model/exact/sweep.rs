@@ -1,7 +1,7 @@
 //! Ideal sweeps from event to event: each segment of the motion is known in closed form, so its end
 //! is searched on the forms that its regime watches, and samples are evaluated only where wanted.
 
-use super::form::{Form, Forms};
+use super::form::{End, Form, Forms};
 use super::propagator::Exact;
 use super::segment::{Closed, Forcing, Segment};
 use crate::model::general::{Line, Mode, Sliding, guard};
@@ -70,7 +70,9 @@ impl Exact {
         for step in 0..plan.steps.len() {
             run.step(step, watch);
         }
-        run.contacts
+        let contacts = run.contacts;
+        self.note_mode();
+        contacts
     }
 
     /// The segment that begins in the present state.
@@ -211,18 +213,22 @@ impl Run<'_, '_> {
             let (piece, segment) = self.exact.segment(self.closed, forcing);
             let mut limit = duration - t;
             let forms = self.exact.forms(&segment, &mut limit);
-            let (failure, length) = match self.pace.forced(t) {
+            let end = match self.pace.forced(t) {
                 None => forms.first_failure(&segment, limit),
-                Some(regardless) => (None, regardless.min(duration - t)),
+                Some(regardless) => {
+                    let time_s = regardless.min(duration - t);
+                    End { guard: None, time_s, now: segment.at(time_s) }
+                }
             };
+            let length = end.time_s;
             if length > 0.0 {
                 self.count();
             }
             self.emit(step, piece, &segment, (t, length), watch);
-            let (d, v) = segment.state(&segment.at(length));
+            let (d, v) = segment.state(&end.now);
             self.exact.core.place([d, v], length);
             t = if length >= duration - t { duration } else { t + length };
-            if let Some(guard) = failure {
+            if let Some(guard) = end.guard {
                 let table = amplitude * (w * t).sin();
                 self.exact.core.enter([d, v], guard, 0.0, Line { start: table, slope: 0.0 });
             }

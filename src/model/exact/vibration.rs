@@ -1,6 +1,8 @@
 //! Free vibration of one linear piece in closed form, whatever its damping: the two fundamental
 //! solutions, transitions of a free state, and bounds of what a free state can still do.
 
+use crate::model::elementary::{exp, sin_cos};
+
 /// Free vibration z'' + 2 alpha z' + w0^2 z = 0.
 #[derive(Clone, Copy, Debug)]
 pub struct Vibration {
@@ -46,12 +48,12 @@ impl Vibration {
     pub fn fundamental(&self, t: f64) -> (f64, f64) {
         match self.kind {
             Kind::Under(omega, inverse) => {
-                let envelope = (-self.decay * t).exp();
-                let (sin, cos) = (omega * t).sin_cos();
+                let envelope = exp(-self.decay * t);
+                let (sin, cos) = sin_cos(omega * t);
                 (envelope * cos, envelope * inverse * sin)
             }
             Kind::Over(slow, difference) => {
-                let envelope = (-slow * t).exp();
+                let envelope = exp(-slow * t);
                 let fallen = -(-difference * t).exp_m1();
                 (envelope * (1.0 - 0.5 * fallen), envelope * fallen / difference)
             }

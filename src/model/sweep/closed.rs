@@ -4,7 +4,7 @@
 use super::plan::Plan;
 use super::{StepPeaks, SweepHistory, SweepResponse, Visit};
 use crate::model::Response;
-use crate::model::exact::{Closed, Exact, Form, ROW, Stretch, Tables, Turns, zeros};
+use crate::model::exact::{Closed, Exact, Form, Instant, ROW, Stretch, Tables, Turns, zeros};
 use std::f64::consts::TAU;
 
 /// Tables for the samples of a row: by piece (made when first needed) and of the step under way.
@@ -22,13 +22,18 @@ impl Rows {
     }
 
     fn fill(&mut self, stretch: &Stretch<'_>, out: [&mut [f64]; 3]) {
+        let (tables, turns) = self.of(stretch);
+        stretch.segment.fill(stretch.offset, tables, turns, out);
+    }
+
+    fn of(&mut self, stretch: &Stretch<'_>) -> (&Tables, &Turns) {
         if self.step != stretch.step {
             self.step = stretch.step;
             self.turns = Turns::new(stretch.segment.angular_frequency, self.dt);
         }
         let tables = self.tables[stretch.piece]
             .get_or_insert_with(|| Box::new(Tables::new(&stretch.segment.closed.free, self.dt)));
-        stretch.segment.fill(stretch.offset, tables, &self.turns, out);
+        (tables, &self.turns)
     }
 }
 
@@ -39,9 +44,10 @@ fn empty(plan: &Plan<'_>) -> SweepResponse {
 /// Peaks alone.
 pub(super) fn peaks(exact: &mut Exact, closed: &[Closed], plan: &Plan<'_>) -> SweepResponse {
     let mut response = empty(plan);
+    let mut rows = Rows::new(plan, closed.len());
     response.contacts = exact.run_closed(closed, plan, &mut |stretch| {
         let step = stretch.step;
-        take_peaks(stretch, plan.first_counted(step), plan.dt, &mut response.peaks[step]);
+        take_peaks(stretch, plan.first_counted(step), &mut rows, &mut response.peaks[step]);
     });
     response
 }
@@ -57,7 +63,7 @@ pub(super) fn history(
     let mut rows = Rows::new(plan, closed.len());
     response.contacts = exact.run_closed(closed, plan, &mut |stretch| {
         let (step, range) = (stretch.step, stretch.first..stretch.first + stretch.count);
-        take_peaks(stretch, plan.first_counted(step), plan.dt, &mut response.peaks[step]);
+        take_peaks(stretch, plan.first_counted(step), &mut rows, &mut response.peaks[step]);
         history.enter(stretch.first, stretch.mode.regime());
         let out = [
             &mut history.relative_displacement_m[range.clone()],
@@ -81,7 +87,7 @@ pub(super) fn visit(
     let contact = exact.contact_law();
     response.contacts = exact.run_closed(closed, plan, &mut |stretch| {
         let step = stretch.step;
-        take_peaks(stretch, plan.first_counted(step), plan.dt, &mut response.peaks[step]);
+        take_peaks(stretch, plan.first_counted(step), &mut rows, &mut response.peaks[step]);
         let (wave, regime) = (&plan.steps[step], stretch.mode.regime());
         let w = stretch.segment.angular_frequency;
         for done in (0..stretch.count).step_by(ROW) {
@@ -113,24 +119,29 @@ pub(super) fn visit(
     response
 }
 
-/// The samples of a segment that may be extreme: its first and last, and those beside the instants at
-/// which D or A turns.
-fn take_peaks(stretch: &Stretch<'_>, counted: usize, dt: f64, peaks: &mut StepPeaks) {
+/// Up to so many samples all are looked at; turns are searched among more,
+const FEW: usize = 128;
+/// unless they follow each other closely: angle from sample to sample, rad.
+const FAST: f64 = 4e-3;
+
+/// The samples of a segment that may be extreme: its first and last, and, where their bounds allow more
+/// than what was found already, those beside the instants at which D or A turns.
+fn take_peaks(stretch: &Stretch<'_>, counted: usize, rows: &mut Rows, peaks: &mut StepPeaks) {
+    let dt = rows.dt;
     let skipped = counted.saturating_sub(stretch.first);
     if skipped >= stretch.count {
         return;
     }
     let (segment, last) = (stretch.segment, (stretch.count - 1) as f64);
     let (from, until) = (stretch.offset + skipped as f64 * dt, stretch.offset + last * dt);
-    let mut take = |t: f64| {
-        let now = segment.at(t);
-        let (d, v) = segment.state(&now);
-        let a = segment.acceleration(&now, (d, v));
+    let take = |now: &Instant, peaks: &mut StepPeaks| {
+        let (d, v) = segment.state(now);
+        let a = segment.acceleration(now, (d, v));
         peaks.a_max_m_s2 = peaks.a_max_m_s2.max(a.abs());
         (peaks.d_max_m, peaks.d_min_m) = (peaks.d_max_m.max(d), peaks.d_min_m.min(d));
     };
-    take(from);
-    take(until);
+    let ends = [from, until].map(|t| (t, segment.at(t)));
+    ends.iter().for_each(|(_, now)| take(now, peaks));
     if until - from < 1.5 * dt {
         return;
     }
@@ -140,15 +151,32 @@ fn take_peaks(stretch: &Stretch<'_>, counted: usize, dt: f64, peaks: &mut StepPe
         let piece = &segment.closed.piece;
         Form::of(segment, 0, -piece.constant, -piece.stiffness, -piece.damping)
     };
-    let velocity = Form::of(segment, 0, 0.0, 0.0, 1.0);
-    for form in [velocity, acceleration.derivative(segment)] {
+    let displacement = Form::of(segment, 0, 0.0, 1.0, 0.0);
+    let (lowest, highest) = displacement.range(segment, &ends);
+    let moves = segment.held.is_none() && (lowest < peaks.d_min_m || highest > peaks.d_max_m);
+    let (least, most) = acceleration.range(segment, &ends);
+    let pulls = most.max(-least) > peaks.a_max_m_s2;
+    if !(moves || pulls) {
+        return;
+    }
+    let samples = stretch.count - skipped;
+    if segment.held.is_none() && (samples <= FEW || segment.angular_frequency * dt > FAST) {
+        let (tables, turns) = rows.of(stretch);
+        let [d_min, d_max, a_max] = segment.extremes(from, samples, tables, turns);
+        peaks.a_max_m_s2 = peaks.a_max_m_s2.max(a_max);
+        (peaks.d_max_m, peaks.d_min_m) = (peaks.d_max_m.max(d_max), peaks.d_min_m.min(d_min));
+        return;
+    }
+    let turns =
+        [moves.then(|| Form::of(segment, 0, 0.0, 0.0, 1.0)), pulls.then(|| acceleration.derivative(segment))];
+    for form in turns.into_iter().flatten() {
         let mut taken = f64::NEG_INFINITY;
-        zeros(&form, segment, (from, until), dt, |t| {
+        zeros(&form, segment, (from, until), dt, |t, now| {
             let below = ((t - stretch.offset) / dt).floor();
             for i in 0..3 {
                 let sample = below + f64::from(i);
                 if sample > taken && sample <= last {
-                    take(stretch.offset + sample * dt);
+                    take(&segment.beside(t, now, stretch.offset + sample * dt - t), peaks);
                     taken = sample;
                 }
             }
