@@ -234,3 +234,57 @@ proptest::proptest! {
         }
     }
 }
+
+/// Models with one effect of the catalogue each, at its starting values.
+fn with_each_effect() -> impl Iterator<Item = (&'static str, crate::model::ModelSpec)> {
+    CATALOGUE.iter().filter(|entry| entry.name != "expression").map(|entry| {
+        let mut spec = b1_g2();
+        spec.effects.push(entry.starting_spec(&Scales::of_spec(&spec, DT)));
+        (entry.name, spec)
+    })
+}
+
+#[test]
+fn every_effect_but_those_with_a_side_mirrors() {
+    for (name, spec) in with_each_effect() {
+        let (mut one, mut two) = (build(&spec, DT).expect("builds"), build(&spec, DT).expect("builds"));
+        let mut apart = 0.0_f64;
+        for i in 1..6000 {
+            let t = f64::from(i) * DT;
+            let a = 0.6 * (std::f64::consts::TAU * (0.7 + 0.2 * t) * t).sin();
+            let (r, l) = (one.step(a), two.step(-a));
+            apart = apart.max((r.relative_displacement_m + l.relative_displacement_m).abs());
+        }
+        let has_side = matches!(name, "constant-force" | "gap-asymmetry");
+        assert!(if has_side { apart > 1e-4 } else { apart < 1e-9 }, "{name}: {apart}");
+    }
+}
+
+/// The motion is that of the force: v^2/2 grows by the integral of (A - a_table) v, whatever the model.
+#[test]
+fn kinetic_energy_is_the_work_of_the_forces_that_are_reported() {
+    let dt = 0.125 * DT;
+    // A table that gives way moves otherwise than its command.
+    for (name, spec) in with_each_effect().filter(|(name, _)| *name != "table-interaction") {
+        let mut specimen = build(&spec, dt).expect("builds");
+        let (mut work, mut turnover, mut worst) = (0.0, 0.0, 0.0_f64);
+        let (mut d0, mut force0) = (0.0, None);
+        for i in 0..40_000 {
+            let t = f64::from(i) * dt;
+            let a = 0.5 * (std::f64::consts::TAU * (0.8 + 0.2 * t) * t).sin();
+            let now = specimen.step(a);
+            let (d, v) = (now.relative_displacement_m, now.relative_velocity_m_s);
+            let force = now.mass_acceleration_m_s2 - a;
+            if let Some(before) = force0 {
+                let share = 0.5 * (force + before) * (d - d0);
+                work += share;
+                turnover += f64::abs(share);
+            } else {
+                work = 0.5 * v * v;
+            }
+            worst = worst.max((0.5 * v * v - work).abs());
+            (d0, force0) = (d, Some(force));
+        }
+        assert!(turnover > 0.01 && worst < 1e-4 * turnover, "{name}: {worst} of {turnover}");
+    }
+}

@@ -142,9 +142,21 @@ impl Precise {
         self.corners(at).iter().position(|corner| corner.hi() < ROUNDING)
     }
 
+    /// Free, tips back, and every corner farther than the mass could go and come back.
+    fn is_far(&self, end: &State, h: f64) -> bool {
+        let way = 2.0 * h * self.now.v.hi().abs().max(end.v.hi().abs()) + 1e-6;
+        let still = self.contact == [false; 2] && self.now.tips.iter().all(|tip| tip.hi() < 1e-9);
+        still && [&self.now, end].iter().all(|state| self.corners(state).iter().all(|c| c.hi() > way))
+    }
+
     fn advance(&mut self, mut rest: Double) {
         while rest.hi() > 0.0 {
             let path = self.path();
+            let end = path.at(rest);
+            if self.is_far(&end, rest.hi()) {
+                self.go(&path, rest);
+                return;
+            }
             let place = |i: usize| rest * (i as f64 / PLACES as f64);
             let Some(i) = (1..=PLACES).find(|i| self.failed(&path.at(place(*i))).is_some()) else {
                 self.go(&path, rest);
