@@ -140,6 +140,15 @@ fn model(c: &mut Criterion) {
     group.bench_function("sweep, peaks only", |b| {
         b.iter(|| black_box(sweep_peaks(&spec, steps, DT, &options).expect("runs").contacts));
     });
+    let longer: Vec<Step> = steps.iter().map(|step| Step { cycles: 4 * step.cycles, ..*step }).collect();
+    group.bench_function("sweep, peaks only, four times the cycles", |b| {
+        b.iter(|| black_box(sweep_peaks(&spec, &longer, DT, &options).expect("runs").contacts));
+    });
+    group.bench_function("sweep with histories, four times the cycles", |b| {
+        b.iter(|| {
+            black_box(sweep_history(&spec, &longer, DT, &options, &mut history).expect("runs").contacts)
+        });
+    });
     group.throughput(criterion::Throughput::Elements(input.len() as u64));
     group.bench_function("sampled input", |b| {
         b.iter(|| {
