@@ -7,8 +7,6 @@ use crate::model::elementary::sin_cos;
 
 /// Samples that are evaluated in one go.
 pub const ROW: usize = 64;
-/// Samples that are taken beside each other.
-const LANES: usize = 4;
 
 /// What a piece needs for closed form.
 #[derive(Clone, Copy, Debug)]
@@ -222,30 +220,6 @@ impl Segment {
         }
     }
 
-    /// Smallest and largest displacement and largest size of the acceleration among `count` samples from
-    /// `first` s on, of a mass that is not held.
-    pub fn extremes(&self, first: f64, count: usize, tables: &Tables, turns: &Turns) -> [f64; 3] {
-        let mut now = self.at(first);
-        let (mut d, mut v, mut a) = ([0.0; ROW], [0.0; ROW], [0.0; ROW]);
-        let mut found = [f64::INFINITY, f64::NEG_INFINITY, 0.0];
-        for done in (0..count).step_by(ROW) {
-            let n = ROW.min(count - done);
-            self.row(&now, tables, turns, &mut d[..n], &mut v[..n], &mut a[..n]);
-            if n < ROW {
-                // Filled up with what cannot be more extreme.
-                let (one, other) = (d[0], a[0]);
-                d[n..].fill(one);
-                a[n..].fill(other);
-            }
-            let [low, high, most] = row_extremes(&d, &a);
-            found = [found[0].min(low), found[1].max(high), found[2].max(most)];
-            let ((re, im), (cos, sin)) = (now.forced, turns.whole);
-            now.forced = (re * cos - im * sin, re * sin + im * cos);
-            now.free = self.closed.free.advance(now.free, tables.whole);
-        }
-        found
-    }
-
     fn fill_held(&self, mut now: Instant, turns: &Turns, d: &mut [f64], v: &mut [f64], a: &mut [f64]) {
         d.fill(self.held.unwrap_or(0.0));
         v.fill(0.0);
@@ -258,23 +232,6 @@ impl Segment {
             now.forced = (re * cos - im * sin, re * sin + im * cos);
         }
     }
-}
-
-/// Smallest and largest of one row and largest size in another; lanes beside each other, since a single
-/// chain of comparisons would wait for itself.
-fn row_extremes(d: &[f64; ROW], a: &[f64; ROW]) -> [f64; 3] {
-    // The smallest as the largest of the negative: so all three become vector instructions.
-    let (mut low, mut high, mut most) = ([-d[0]; LANES], [d[0]; LANES], [0.0_f64; LANES]);
-    for (d, a) in d.chunks_exact(LANES).zip(a.chunks_exact(LANES)) {
-        for lane in 0..LANES {
-            let (x, size) = (d[lane], a[lane].abs());
-            low[lane] = if -x > low[lane] { -x } else { low[lane] };
-            high[lane] = if x > high[lane] { x } else { high[lane] };
-            most[lane] = if size > most[lane] { size } else { most[lane] };
-        }
-    }
-    let largest = |lanes: [f64; LANES]| lanes.into_iter().fold(f64::NEG_INFINITY, f64::max);
-    [-largest(low), largest(high), largest(most)]
 }
 
 /// Fundamental solutions of one piece at the samples of a row.

@@ -4,6 +4,7 @@
 use super::form::{End, Form, Forms};
 use super::propagator::Exact;
 use super::segment::{Closed, Forcing, Segment};
+use crate::model::elementary::sin_cos;
 use crate::model::general::{Line, Mode, Sliding, guard};
 use crate::model::sweep::Plan;
 use std::f64::consts::TAU;
@@ -207,7 +208,7 @@ impl Run<'_, '_> {
         let duration = self.plan.end_of(step) - self.plan.starts[step];
         let mut t = 0.0;
         while t < duration {
-            let (sin, cos) = (w * t).sin_cos();
+            let (sin, cos) = sin_cos(w * t);
             let (value, quadrature) = (amplitude * sin, amplitude * cos);
             let forcing = Forcing { value, quadrature, angular_frequency: w };
             let (piece, segment) = self.exact.segment(self.closed, forcing);
@@ -229,7 +230,7 @@ impl Run<'_, '_> {
             self.exact.core.place([d, v], length);
             t = if length >= duration - t { duration } else { t + length };
             if let Some(guard) = end.guard {
-                let table = amplitude * (w * t).sin();
+                let table = amplitude * sin_cos(w * t).0;
                 self.exact.core.enter([d, v], guard, 0.0, Line { start: table, slope: 0.0 });
             }
         }

@@ -22,18 +22,13 @@ impl Rows {
     }
 
     fn fill(&mut self, stretch: &Stretch<'_>, out: [&mut [f64]; 3]) {
-        let (tables, turns) = self.of(stretch);
-        stretch.segment.fill(stretch.offset, tables, turns, out);
-    }
-
-    fn of(&mut self, stretch: &Stretch<'_>) -> (&Tables, &Turns) {
         if self.step != stretch.step {
             self.step = stretch.step;
             self.turns = Turns::new(stretch.segment.angular_frequency, self.dt);
         }
         let tables = self.tables[stretch.piece]
             .get_or_insert_with(|| Box::new(Tables::new(&stretch.segment.closed.free, self.dt)));
-        (tables, &self.turns)
+        stretch.segment.fill(stretch.offset, tables, &self.turns, out);
     }
 }
 
@@ -44,10 +39,9 @@ fn empty(plan: &Plan<'_>) -> SweepResponse {
 /// Peaks alone.
 pub(super) fn peaks(exact: &mut Exact, closed: &[Closed], plan: &Plan<'_>) -> SweepResponse {
     let mut response = empty(plan);
-    let mut rows = Rows::new(plan, closed.len());
     response.contacts = exact.run_closed(closed, plan, &mut |stretch| {
         let step = stretch.step;
-        take_peaks(stretch, plan.first_counted(step), &mut rows, &mut response.peaks[step]);
+        take_peaks(stretch, plan.first_counted(step), plan.dt, &mut response.peaks[step]);
     });
     response
 }
@@ -63,7 +57,7 @@ pub(super) fn history(
     let mut rows = Rows::new(plan, closed.len());
     response.contacts = exact.run_closed(closed, plan, &mut |stretch| {
         let (step, range) = (stretch.step, stretch.first..stretch.first + stretch.count);
-        take_peaks(stretch, plan.first_counted(step), &mut rows, &mut response.peaks[step]);
+        take_peaks(stretch, plan.first_counted(step), plan.dt, &mut response.peaks[step]);
         history.enter(stretch.first, stretch.mode.regime());
         let out = [
             &mut history.relative_displacement_m[range.clone()],
@@ -87,7 +81,7 @@ pub(super) fn visit(
     let contact = exact.contact_law();
     response.contacts = exact.run_closed(closed, plan, &mut |stretch| {
         let step = stretch.step;
-        take_peaks(stretch, plan.first_counted(step), &mut rows, &mut response.peaks[step]);
+        take_peaks(stretch, plan.first_counted(step), plan.dt, &mut response.peaks[step]);
         let (wave, regime) = (&plan.steps[step], stretch.mode.regime());
         let w = stretch.segment.angular_frequency;
         for done in (0..stretch.count).step_by(ROW) {
@@ -119,15 +113,9 @@ pub(super) fn visit(
     response
 }
 
-/// Up to so many samples all are looked at; turns are searched among more,
-const FEW: usize = 128;
-/// unless they follow each other closely: angle from sample to sample, rad.
-const FAST: f64 = 4e-3;
-
 /// The samples of a segment that may be extreme: its first and last, and, where their bounds allow more
 /// than what was found already, those beside the instants at which D or A turns.
-fn take_peaks(stretch: &Stretch<'_>, counted: usize, rows: &mut Rows, peaks: &mut StepPeaks) {
-    let dt = rows.dt;
+fn take_peaks(stretch: &Stretch<'_>, counted: usize, dt: f64, peaks: &mut StepPeaks) {
     let skipped = counted.saturating_sub(stretch.first);
     if skipped >= stretch.count {
         return;
@@ -156,17 +144,6 @@ fn take_peaks(stretch: &Stretch<'_>, counted: usize, rows: &mut Rows, peaks: &mu
     let moves = segment.held.is_none() && (lowest < peaks.d_min_m || highest > peaks.d_max_m);
     let (least, most) = acceleration.range(segment, &ends);
     let pulls = most.max(-least) > peaks.a_max_m_s2;
-    if !(moves || pulls) {
-        return;
-    }
-    let samples = stretch.count - skipped;
-    if segment.held.is_none() && (samples <= FEW || segment.angular_frequency * dt > FAST) {
-        let (tables, turns) = rows.of(stretch);
-        let [d_min, d_max, a_max] = segment.extremes(from, samples, tables, turns);
-        peaks.a_max_m_s2 = peaks.a_max_m_s2.max(a_max);
-        (peaks.d_max_m, peaks.d_min_m) = (peaks.d_max_m.max(d_max), peaks.d_min_m.min(d_min));
-        return;
-    }
     let turns =
         [moves.then(|| Form::of(segment, 0, 0.0, 0.0, 1.0)), pulls.then(|| acceleration.derivative(segment))];
     for form in turns.into_iter().flatten() {
