@@ -73,16 +73,21 @@ fn guarded<T>(path: &Path, read: impl FnOnce() -> Result<T, SampleFileError>) ->
         .unwrap_or_else(|_| Err(SampleFileError::Damaged { path: path.to_owned() }))
 }
 
-/// Rows as the file's index has them, up to the first that is none: the rate, and what is wrong there.
+/// Rows as the file's index has them, up to the first that is none: the rate, and what is wrong there. The
+/// row before one that is none may be torn, its head written and its tail not, and goes as well.
 fn in_order(path: &Path, sink: &mut dyn FnMut(Row)) -> Result<(f64, Option<String>), SampleFileError> {
     let reader = SampleReader::open(path)?;
     let rate = reader.sample_rate_hz();
-    let (mut start, mut rows, mut last) = (0, 0u64, None);
+    let (mut start, mut rows, mut last, mut held) = (0, 0u64, None, None);
     while start < reader.rows() {
         let count = BLOCK_ROWS.min(reader.rows() - start);
         let bytes = match reader.read_bytes(start, count) {
             Ok(bytes) => bytes,
-            Err(error) => return Ok((rate, Some(error.to_string()))),
+            // Chunks are read whole: the row before is complete.
+            Err(error) => {
+                held.into_iter().for_each(sink);
+                return Ok((rate, Some(error.to_string())));
+            }
         };
         for row in bytes.chunks_exact(ROW_BYTES) {
             // Zeroed blocks and the like; a repeated number is the DAQ's own and stays.
@@ -90,10 +95,15 @@ fn in_order(path: &Path, sink: &mut dyn FnMut(Row)) -> Result<(f64, Option<Strin
             if here.is_none_or(|n| last.is_some_and(|last| n == 0 || n + MOST_BACK <= last)) {
                 return Ok((rate, Some(format!("row {rows} is damaged"))));
             }
-            sink(decode(row));
+            if let Some(before) = held.replace(decode(row)) {
+                sink(before);
+            }
             (last, rows) = (here, rows + 1);
         }
         start += count;
+    }
+    if let Some(row) = held {
+        sink(row);
     }
     Ok((rate, None))
 }
@@ -249,6 +259,25 @@ mod tests {
             assert!(rows.iter().all(|found| *found == row(found.sample.sequence)), "block {block}");
             let lost = ROWS as usize - rows.len();
             assert!(lost <= 4096 / ROW_BYTES + 3, "block {block}: {lost} rows lost");
+        }
+    }
+
+    #[test]
+    fn a_row_that_is_torn_before_zeros_is_none() {
+        let out = tempfile::tempdir().expect("folder");
+        let folder = folder(out.path());
+        let whole = std::fs::read(folder.samples()).expect("bytes");
+        // Everything from the middle of a row to the end, at every place within it that is not its head.
+        let wanted = row(ROWS - 40);
+        let head = wanted.sample.sequence.to_le_bytes();
+        let at = whole.windows(8).rposition(|bytes| bytes == head).expect("there") - 8;
+        for inside in [17, 24, 48, 80, ROW_BYTES - 1] {
+            let mut hurt = whole.clone();
+            hurt[at + inside..].fill(0);
+            std::fs::write(folder.samples(), &hurt).expect("written");
+            let (rows, damage) = readable_rows(&folder).expect("read");
+            assert!(damage.is_some() && !rows.is_empty());
+            assert!(rows.iter().all(|found| *found == row(found.sample.sequence)), "{inside} bytes of a row");
         }
     }
 }
