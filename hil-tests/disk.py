@@ -5,8 +5,9 @@ Usage: disk.py BINARY [full|read-only|slow|power ...]      all four without a na
 
 full       a tmpfs fills while a real-time run goes on: the run stops, says why, and loses nothing
 read-only  a run is refused before anything moves; a disk that turns read-only stops it
-slow       a file system is frozen (fsfreeze) while a real-time run goes on: 5 s cost nothing, 16 s cost
-           what the ring cannot hold, counted; the control thread keeps its time in both
+slow       a file system is frozen (fsfreeze) while a real-time run goes on: 5 s cost nothing; in 16 s
+           the supervisor stops the table before the ring is full, and what the ring cannot hold is counted;
+           the control thread keeps its time in both
 power      copies of a running run, cut short or with zeros in their last blocks, are recovered; every row
            that comes back is one that was written
 
@@ -133,9 +134,9 @@ def read_only(binary: str) -> str:
     return "refused before the start: " + outcome.stderr.decode().strip().splitlines()[-1][-60:]
 
 
-def frozen(binary: str, seconds: float) -> tuple[dict, dict, dict]:
+def frozen(binary: str, seconds: float) -> tuple[int, dict, dict, dict]:
     with mounted("ext4", 192) as disk:
-        run = Run(binary, disk / "runs", "1.0..1.1")
+        run = Run(binary, disk / "runs", "1.5..1.6")
         wait_for(lambda: run.rows() > 2 * 2048, "two seconds of samples")
         subprocess.run(["fsfreeze", "-f", disk], check=True)
         try:
@@ -143,30 +144,32 @@ def frozen(binary: str, seconds: float) -> tuple[dict, dict, dict]:
         finally:
             subprocess.run(["fsfreeze", "-u", disk], check=True)
         code, report, told = run.end()
-        assert code == 0, f"exit code {code}, {report.get('outcome')}, {report.get('cause')}: {told}"
+        assert code in (0, 3), f"exit code {code}, {report.get('outcome')}, {report.get('cause')}: {told}"
         result = readback.check(run.folder)
         assert not result["problems"], result["problems"]
         verified(binary, run.folder)
-        return report, result, readback.tomllib.loads((run.folder / "run.toml").read_text())
+        return code, report, result, readback.tomllib.loads((run.folder / "run.toml").read_text())
 
 
 def slow(binary: str) -> str:
     lines = []
     for seconds in (5.0, 16.0):
-        report, result, manifest = frozen(binary, seconds)
+        code, report, result, manifest = frozen(binary, seconds)
         lost = manifest["lost"]["ring"] / 2048
         rows = result["rows"] + manifest["lost"]["samples"]
         duration = rows / 2048
         assert manifest["lost"]["daq"] == 0 and manifest["lost"]["disk"] == 0, manifest["lost"]
         if seconds < RING_S:
+            assert code == 0, f"a stall of {seconds} s ended the run: {report.get('cause')}"
             assert lost == 0, f"{lost} s lost"
         else:
-            # The recorder holds up to 4 s more than the ring when it is held up.
-            assert 0 < lost <= seconds - RING_S + 0.5, f"{lost} s lost of a stall of {seconds} s"
-            assert not manifest["clean"], "a run with losses calls itself clean"
+            # The supervisor brings the table to rest before the ring is full; what does not fit is counted.
+            assert code == 3 and "recorder-behind" in str(report["cause"]), f"exit code {code}: {report['cause']}"
+            assert lost <= seconds - RING_S + 0.5, f"{lost} s lost of a stall of {seconds} s"
+            assert manifest["clean"] == (lost == 0), "a run with losses calls itself clean"
         worst = report["timing"]["step"]["max_us"]
         assert worst < 1e6 * seconds / 10, f"a control step took {worst} us"
-        lines.append(f"{seconds:g} s frozen: {lost:.2f} s lost, {report['slips']} slips, "
+        lines.append(f"{seconds:g} s frozen: {report['outcome']}, {lost:.2f} s lost, {report['slips']} slips, "
                      f"step p99.9 {report['timing']['step']['p999_us']:.0f} us of {duration:.0f} s")
     return "; ".join(lines)
 
@@ -204,7 +207,6 @@ def power(binary: str, copies: int = 40) -> str:
         run.process.wait(timeout=120)
         with h5py.File(run.folder / "samples.h5") as file:
             truth = file["samples"][:]
-        first = int(truth["sequence"][0])
         worst_s, recovered_rows = 0.0, 0
         for copy, rows_then in cut:
             lost_bytes = hurt(copy / "samples.h5", moments)
@@ -216,8 +218,10 @@ def power(binary: str, copies: int = 40) -> str:
             assert not problems, f"{copy.name}: {problems}"
             with h5py.File(copy / "samples.h5") as file:
                 found = file["samples"][:]
-            same = truth[found["sequence"].astype(np.int64) - first]
-            assert found.tobytes() == same.tobytes(), f"{copy.name}: rows differ from what was written"
+            # By number: a machine that had no time for the control thread leaves jumps.
+            places = np.searchsorted(truth["sequence"], found["sequence"]).clip(max=len(truth) - 1)
+            other = np.flatnonzero(truth[places] != found)
+            assert not len(other), f"{copy.name}: {len(other)} rows differ from what was written, the first {found[other[0]]}"
             # What was cut or zeroed, and what stands between the chunks, is all that may be missing.
             missing = rows_then - len(found)
             allowed = lost_bytes / 112 + 0.5 * 2048
