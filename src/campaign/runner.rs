@@ -108,6 +108,8 @@ struct Runner<'a> {
     end: AtomicBool,
     missing: Mutex<Vec<String>>,
     ran: AtomicUsize,
+    /// Of one run.
+    steps: usize,
 }
 
 /// The set-up of one run.
@@ -149,6 +151,9 @@ pub fn run(
     tell: &(dyn Fn(Progress) + Sync),
 ) -> Result<Summary, CampaignError> {
     store.prepare(configuration)?;
+    let steps = configuration.sweep.forward_hz().map_or(0, |hz| hz.len());
+    let ways =
+        if configuration.sweep.direction == crate::sweep::SweepDirection::ForwardBackward { 2 } else { 1 };
     let runner = Runner {
         configuration,
         store,
@@ -162,13 +167,11 @@ pub fn run(
         end: AtomicBool::new(false),
         missing: Mutex::new(Vec::new()),
         ran: AtomicUsize::new(0),
+        steps: steps * ways,
     };
     let all = runner.planned();
     let (open, there) = runner.open(&all)?;
-    let steps = configuration.sweep.forward_hz().map_or(0, |hz| hz.len());
-    let ways =
-        if configuration.sweep.direction == crate::sweep::SweepDirection::ForwardBackward { 2 } else { 1 };
-    tell(Progress::Planned { runs: open.len(), there, steps: steps * ways });
+    tell(Progress::Planned { runs: open.len(), there, steps: runner.steps });
     runner.work(&open);
     runner.summary(&all, there)
 }
@@ -277,7 +280,7 @@ impl Runner<'_> {
         }
         match self.result_of(planned, &name) {
             Ok(Some(result)) => {
-                let left = 0;
+                let left = self.steps.saturating_sub(result.steps.len());
                 self.remember(planned, &result);
                 if result.outcome == CaseOutcome::Aborted
                     && self.configuration.spec.stop.after_abort == AfterAbort::End
@@ -319,6 +322,7 @@ impl Runner<'_> {
             && let Some(result) = adopt(path, &blank)
         {
             (self.tell)(Progress::Adopted(name.to_owned()));
+            result.steps.iter().for_each(|_| (self.tell)(Progress::Step));
             return Ok(Some(result));
         }
         match self.ready(planned) {
