@@ -406,7 +406,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 }
 
 /// Results of a function over a list, in its order, on so many threads.
-fn parallel<T: Sync, R: Send>(
+pub(super) fn parallel<T: Sync, R: Send>(
     items: &[T],
     jobs: usize,
     work: impl Fn(&T) -> Option<R> + Sync,

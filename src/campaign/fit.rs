@@ -168,6 +168,8 @@ pub struct Fitted {
     pub x: Vec<f64>,
     /// Standard deviations of the same.
     pub sigma: Vec<f64>,
+    /// Their covariance, numbers by numbers.
+    pub covariance: nalgebra::DMatrix<f64>,
     /// RMS of the logarithmic errors over the cells it was fitted to.
     pub rms: f64,
     /// What was minimised.
@@ -387,7 +389,7 @@ impl<'a> Problem<'a> {
         let sigma = (0..free.len()).map(|i| covariance[(i, i)].max(0.0).sqrt()).collect();
         let (x, cost) = self.search(&free, fit.values.clone(), effort.trials, &mut residuals);
         let rms = self.rms(&x, cells)?;
-        Some(Fitted { x, sigma, rms, cost })
+        Some(Fitted { x, sigma, covariance, rms, cost })
     }
 
     /// RMS of the logarithmic errors that count.

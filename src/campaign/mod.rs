@@ -10,6 +10,7 @@ pub mod diagnose;
 pub mod figures;
 pub mod fit;
 pub mod ideal;
+pub mod optimise;
 pub mod peaks;
 pub mod report;
 pub mod runner;

@@ -28,9 +28,18 @@ pub struct Args {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Of {
+pub(super) enum Of {
     Published,
     Measured,
+}
+
+impl Of {
+    pub(super) fn origin(self) -> Origin {
+        match self {
+            Self::Published => Origin::Published,
+            Self::Measured => Origin::Measured,
+        }
+    }
 }
 
 /// Diagnoses.

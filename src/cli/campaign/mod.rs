@@ -1,6 +1,7 @@
 //! `campaign`: many cases as one study - run them, report on them, diagnose and optimise.
 
 mod diagnose;
+mod optimise;
 mod report;
 mod run;
 
@@ -26,6 +27,8 @@ enum Command {
     Compare(report::CompareArgs),
     /// Identify the model and search for missing effects on the peaks of all cases at once.
     Diagnose(diagnose::Args),
+    /// Map what the model predicts for bumpers and gaps between and beyond those tried.
+    Optimise(optimise::Args),
     /// Take the results of other folders over (shards that were run elsewhere).
     Merge(run::MergeArgs),
 }
@@ -40,6 +43,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         Command::Report(args) => report::execute(args),
         Command::Compare(args) => report::compare(args),
         Command::Diagnose(args) => diagnose::execute(args),
+        Command::Optimise(args) => optimise::execute(args),
         Command::Merge(args) => run::merge(args),
     }
 }
