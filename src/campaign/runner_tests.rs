@@ -145,3 +145,20 @@ fn the_operator_is_asked_at_every_change_and_may_leave_out_or_quit() {
     assert_eq!(locked(&asked).clone(), ["B0", "B1-G1", "B1-G1", "B1-G2"]);
     assert_eq!((summary.ran, summary.not_run, summary.missing.len()), (2, 2, 2), "{summary:?}");
 }
+
+#[test]
+fn numbers_of_a_result_are_read_back_bit_by_bit() {
+    // Found in results: quick readers of JSON are one unit of the last place off on each.
+    for number in [3.769_631_893_673_611_5, 7.038_531e-26] {
+        let result = CaseResult {
+            steps: vec![StepSummary { a_max_m_s2: number, ..StepSummary::default() }],
+            ..CaseResult::empty(&configuration(), &configuration().cases[0], 1)
+        };
+        let folder = tempfile::tempdir().expect("folder");
+        let store = Store::at(folder.path());
+        store.prepare(&configuration()).expect("prepared");
+        store.keep(&result).expect("kept");
+        let back = store.result(&result.case, 1).expect("read").expect("there");
+        assert_eq!(back.steps[0].a_max_m_s2.to_bits(), number.to_bits());
+    }
+}
