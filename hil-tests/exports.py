@@ -50,6 +50,11 @@ def frame(table) -> dict:
     return {name: np.asarray(table[name]) for name in table}
 
 
+def plain_parquet(path: Path) -> dict:
+    import pandas
+    return frame(pandas.read_parquet(path))
+
+
 def parquet_pandas(path: Path) -> dict:
     import pandas
     import pyarrow.parquet
@@ -157,7 +162,7 @@ def main() -> int:
                 table = reader(path)
                 if reference is None:
                     reference = table
-                    original = parquet_pandas(source) if source.suffix == ".parquet" else table
+                    original = plain_parquet(source) if source.suffix == ".parquet" else table
                     for column in set(original) & set(table):
                         assert np.array_equal(original[column], table[column]), f"{column} is not the source's"
                 assert set(table) == set(reference), f"columns {sorted(table)}"

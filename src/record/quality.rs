@@ -1,7 +1,7 @@
 //! Is a record fit to judge a model by? Asked before any physics is blamed.
 //!
 //! [`examine`] looks at length, steadiness, stuck, constant and saturated channels, and at kinematics
-//! ([`kinematic`](super::kinematic)): signs, units and swapped sensors. It needs no model and no scale:
+//! (`kinematic`): signs, units and swapped sensors. It needs no model and no scale:
 //! every figure is relative to the record itself, so that grams and micrometres are judged like tonnes.
 
 use super::data::{Kind, Record, Role};

@@ -1,7 +1,7 @@
 //! A record in memory, as comparison, identification and diagnosis read it, wherever it came from.
 //!
 //! [`Record::open`] reads a run folder or a data file (Parquet, CSV, HDF5, MAT v7.3, UFF58), puts every
-//! channel in SI on a uniform time grid and says in [`Record::notes`] what it had to repair. [`write`]
+//! channel in SI on a uniform time grid and says in [`Record::notes`] what it had to repair. [`write()`]
 //! goes the other way. No file, however damaged, makes it panic or take memory out of proportion.
 
 mod csv;
