@@ -56,10 +56,9 @@ def plain_parquet(path: Path) -> dict:
 
 
 def parquet_pandas(path: Path) -> dict:
-    import pandas
     import pyarrow.parquet
     said = pyarrow.parquet.read_metadata(path).metadata
-    table = frame(pandas.read_parquet(path))
+    table = plain_parquet(path)
     units = {name: said[f"unit:{name}".encode()].decode() for name in table if name != "step"}
     assert units == {name: UNITS[name] for name in units}, f"units {units}"
     assert said[b"kind"] == b"base", f"kind {said[b'kind']}"

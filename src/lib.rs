@@ -19,6 +19,7 @@ pub mod daemon;
 pub mod diagnose;
 pub mod identify;
 pub mod model;
+pub mod parallel;
 pub mod record;
 pub mod report;
 pub mod rig;

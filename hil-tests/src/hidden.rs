@@ -256,22 +256,9 @@ fn measure(truth: &ModelSpec, input: &Input, noise: f64, random: &mut Pcg64) -> 
         let z: f64 = normal.sample(random);
         s * z
     };
-    let mut record = Record {
-        source: "hidden".into(),
-        kind: Kind::Base,
-        sample_rate_hz: SAMPLE_RATE_HZ,
-        time_s: (0..n).map(|i| i as f64 / SAMPLE_RATE_HZ).collect(),
-        table_displacement_m: vec![],
-        table_acceleration_m_s2: vec![],
-        mass_acceleration_1_m_s2: vec![],
-        mass_acceleration_2_m_s2: vec![],
-        relative_displacement_m: vec![],
-        force_n: vec![],
-        displacement_m: vec![],
-        acceleration_m_s2: vec![],
-        step: input.step.clone(),
-        notes: vec![],
-    };
+    let mut record = Record::empty("hidden", Kind::Base, SAMPLE_RATE_HZ);
+    record.time_s = (0..n).map(|i| i as f64 / SAMPLE_RATE_HZ).collect();
+    record.step.clone_from(&input.step);
     for (i, (d, a1, a2)) in channels.iter().enumerate() {
         let table = input.acceleration[i];
         slow = decay * slow + white(0.2 * sd * (1.0 - decay * decay).sqrt());

@@ -9,9 +9,8 @@ use super::fit::{Cell, Correction, Effort, Fitted, Freedom, Problem, counted_rms
 use super::peaks::LogError;
 use super::spec::Configuration;
 use crate::model::effects::{self, Place};
+use crate::parallel;
 use serde::Serialize;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Standard errors by which the held-out squares must fall for an addition to be accepted, and within which
 /// two of them cannot be told apart.
@@ -203,7 +202,7 @@ impl Study<'_> {
             .collect();
         let jobs: Vec<(usize, Option<usize>)> =
             (0..freedoms.len()).flat_map(|f| gaps.iter().map(move |gap| (f, *gap))).collect();
-        let fits = parallel(&jobs, self.depth.jobs, |(f, left_out)| {
+        let fits = parallel::map(&jobs, self.depth.jobs, |(f, left_out)| {
             let problem = self.problem(freedoms[*f].clone());
             let seen = |cell: &&Cell| left_out.is_none() || cell.case.gap != *left_out;
             let cells: Vec<&Cell> = self.cells.iter().filter(seen).collect();
@@ -258,7 +257,7 @@ impl Study<'_> {
             })
             .map(|effect| effect.name)
             .collect();
-        let looked = parallel(&candidates, self.depth.jobs, |name| {
+        let looked = parallel::map(&candidates, self.depth.jobs, |name| {
             tell(name);
             let problem = self.problem(Freedom { effects: vec![name], ..Freedom::default() });
             let mut x = start.x.clone();
@@ -403,29 +402,4 @@ fn median(mut values: Vec<f64>) -> f64 {
         n if n % 2 == 1 => values[n / 2],
         n => 0.5 * (values[n / 2 - 1] + values[n / 2]),
     }
-}
-
-/// Results of a function over a list, in its order, on so many threads.
-pub(super) fn parallel<T: Sync, R: Send>(
-    items: &[T],
-    jobs: usize,
-    work: impl Fn(&T) -> Option<R> + Sync,
-) -> Vec<Option<R>> {
-    let next = AtomicUsize::new(0);
-    let results: Vec<Mutex<Option<R>>> = items.iter().map(|_| Mutex::new(None)).collect();
-    std::thread::scope(|scope| {
-        for _ in 0..jobs.clamp(1, items.len().max(1)) {
-            scope.spawn(|| {
-                loop {
-                    let i = next.fetch_add(1, Ordering::Relaxed);
-                    let (Some(item), Some(slot)) = (items.get(i), results.get(i)) else { break };
-                    *slot.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = work(item);
-                }
-            });
-        }
-    });
-    results
-        .into_iter()
-        .map(|slot| slot.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner))
-        .collect()
 }

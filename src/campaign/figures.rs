@@ -148,16 +148,16 @@ fn panel(study: &Study, points: &[Point], against: Against, symbol: &str) -> Cha
         };
         chart = chart.line(None, stroke, line.iter().map(|p| (p.x, p.y)).collect());
     }
+    legend(study, marked(chart, points), points, against)
+}
+
+/// Every point by its case: bumper, gap and acceleration as in the paper's legend.
+fn marked(mut chart: Chart, points: &[Point]) -> Chart {
     for p in points {
-        chart = chart.points(
-            None,
-            bumper_ink(p.bumper),
-            gap_marker(p.gap),
-            level_radius(p.level),
-            vec![(p.x, p.y)],
-        );
+        let (ink, marker) = (bumper_ink(p.bumper), gap_marker(p.gap));
+        chart = chart.points(None, ink, marker, level_radius(p.level), vec![(p.x, p.y)]);
     }
-    legend(study, chart, points, against)
+    chart
 }
 
 /// Points that belong to one line: all alike but in what the figure is drawn against.
@@ -227,15 +227,7 @@ pub fn trade_off(study: &Study, origin: Origin, problem: Problem) -> Figure {
             points.push(Point { bumper: case.bumper, gap: case.gap, level, x: choice.eta, y: choice.alpha });
         }
     }
-    for p in &points {
-        chart = chart.points(
-            None,
-            bumper_ink(p.bumper),
-            gap_marker(p.gap),
-            level_radius(p.level),
-            vec![(p.x, p.y)],
-        );
-    }
+    chart = marked(chart, &points);
     Figure {
         name: format!("trade-off-{}-{}", problem.name(), origin.name()),
         caption: format!(
@@ -287,13 +279,7 @@ pub fn error_map(study: &Study, origin: Origin) -> HeatMap {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::campaign::{CampaignSpec, Configuration};
-
-    fn study() -> Study {
-        let text = include_str!("../../config/campaigns/andreaus-2020.toml");
-        let spec: CampaignSpec = crate::config::parse_toml("c", text).expect("valid");
-        Study::new(Configuration::load(spec).expect("loads"), &[])
-    }
+    use crate::campaign::testing::published as study;
 
     fn attribute(element: &str, name: &str) -> f64 {
         let value = element.split(&format!("{name}=\"")).nth(1).and_then(|rest| rest.split('"').next());

@@ -17,6 +17,8 @@ pub mod runner;
 pub mod spec;
 pub mod store;
 pub mod tables;
+#[cfg(test)]
+mod testing;
 
 pub use runner::{Options, Summary, run};
 pub use spec::{CampaignSpec, CaseKey, Configuration};

@@ -5,13 +5,13 @@
 //! what the interval of a prediction comes from. A design is judged as the tried devices are
 //! ([`super::tables::Study::robust`]): by its worst sum of both ratios over all table accelerations.
 
-use super::diagnose::parallel;
 use super::fit::{Cell, Effort, Fitted, Freedom, Problem as Fit};
 use super::ideal::{self, Settings};
 use super::peaks::Peaks;
 use super::spec::{CaseKey, Configuration};
 use super::tables::Problem;
 use crate::model::{BumperSpec, ModelSpec};
+use crate::parallel;
 use crate::sweep::{Direction, Step};
 use nalgebra::DVector;
 use rand::SeedableRng;
@@ -201,16 +201,16 @@ impl Bench<'_> {
     fn map(&self, problem: Problem, fitted: &Fitted, draws: &[Vec<f64>], space: &Space) -> Option<Map> {
         let judge = Judge { bench: self, x: fitted.x.clone(), problem };
         let law = self.damping_law(&fitted.x)?;
-        let tried = parallel(&self.devices(&fitted.x), space.jobs, |design| judge.judged(design));
+        let tried = parallel::map(&self.devices(&fitted.x), space.jobs, |design| judge.judged(design));
         let tried: Vec<Design> = tried.into_iter().flatten().collect();
         let grid = self.grid(space, law, &tried);
-        let designs = parallel(&grid, space.jobs, |design| judge.judged(design));
+        let designs = parallel::map(&grid, space.jobs, |design| judge.judged(design));
         let designs: Vec<Design> = designs.into_iter().collect::<Option<_>>()?;
         let least = |list: &[Design]| list.iter().min_by(|a, b| a.worst_sum.total_cmp(&b.worst_sum)).cloned();
         // The rigid device is its own reference in the second problem: not a choice.
         let choices: Vec<Design> = tried.iter().filter(|d| !judge.is_reference(d)).cloned().collect();
         let (mut best, mut best_tried) = (least(&designs)?, least(&choices)?);
-        let sums = parallel(draws, space.jobs, |x| {
+        let sums = parallel::map(draws, space.jobs, |x| {
             let judge = Judge { bench: self, x: x.clone(), problem };
             let law = self.damping_law(x)?;
             let device = self.devices(x).into_iter().find(|d| d.device == best_tried.device)?;
@@ -370,14 +370,8 @@ pub fn linear(low: f64, high: f64, count: usize) -> Vec<f64> {
 mod tests {
     use super::*;
     use crate::campaign::fit;
-    use crate::campaign::tables::{Origin, Study};
-
-    fn study() -> Study {
-        let spec: crate::campaign::CampaignSpec =
-            crate::config::parse_toml("c", include_str!("../../config/campaigns/andreaus-2020.toml"))
-                .expect("valid");
-        Study::new(Configuration::load(spec).expect("loads"), &[])
-    }
+    use crate::campaign::tables::{Origin};
+    use crate::campaign::testing::published as study;
 
     #[test]
     fn a_tried_device_on_the_map_has_the_ratios_of_its_own_peaks() {

@@ -322,13 +322,7 @@ impl Study {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn study() -> Study {
-        let spec: crate::campaign::CampaignSpec =
-            crate::config::parse_toml("c", include_str!("../../config/campaigns/andreaus-2020.toml"))
-                .expect("valid");
-        Study::new(Configuration::load(spec).expect("loads"), &[])
-    }
+    use crate::campaign::testing::published as study;
 
     #[test]
     fn the_published_ratios_are_those_of_the_table() {

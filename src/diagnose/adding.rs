@@ -13,6 +13,7 @@ use crate::identify::problem::{Part, Problem};
 use crate::identify::refit::{Domain, Refit};
 use crate::model::effects::{self, Place};
 use crate::model::{EffectSpec, ModelError, ModelSpec};
+use crate::parallel;
 use crate::record::Record;
 use serde::Serialize;
 
@@ -143,7 +144,7 @@ fn fitted(
     }
     let screening = Problem::new(motion, nominal, Effort::default().screening_samples);
     let coarse = Settings { iterations: 10, tolerance: 1e-5, ..Settings::default() };
-    let tried = trial::on_all_cores(&starts, |start| {
+    let tried = parallel::map(&starts, parallel::cores(), |start| {
         trial::in_force(&screening, &base.refit, start, &scales, coarse)
     });
     let best =

@@ -9,6 +9,7 @@ use crate::identify::problem::{Part, Problem};
 use crate::identify::refit::{Domain, Refit};
 use crate::model::effects::Effect;
 use crate::model::{EffectSpec, ModelSpec, Scales};
+use crate::parallel;
 
 /// Settings of a search.
 #[derive(Clone, Copy, Debug)]
@@ -149,7 +150,7 @@ impl<'a> Searcher<'a> {
             .iter()
             .flat_map(|e| candidates::starts(e, scales).into_iter().map(|s| (e.name, s)))
             .collect();
-        let tried = trial::on_all_cores(&work, |(name, start)| {
+        let tried = parallel::map(&work, parallel::cores(), |(name, start)| {
             trial::in_force(&self.screening, base, start, scales, first).map(|refit| (*name, refit))
         });
         let mut tried: Vec<(&'static str, Refit)> = tried.into_iter().flatten().collect();
@@ -159,7 +160,7 @@ impl<'a> Searcher<'a> {
             seen.push(name);
             seen.iter().filter(|n| *n == name).count() <= 2
         });
-        let fitted = trial::on_all_cores(&tried, |(name, refit)| {
+        let fitted = parallel::map(&tried, parallel::cores(), |(name, refit)| {
             trial::polish(&self.screening, refit, Domain::Force, then).map(|refit| (*name, refit))
         });
         let mut best: Vec<(&'static str, Refit)> = Vec::new();
@@ -176,7 +177,7 @@ impl<'a> Searcher<'a> {
     /// Fits those that passed in full, ranks them by force on held-out steps, and has the best of
     /// them simulated.
     fn finalists(&self, from: &Trial, best: &[(&'static str, Refit)]) -> Vec<Trial> {
-        let fitted = trial::on_all_cores(best, |(name, refit)| {
+        let fitted = parallel::map(best, parallel::cores(), |(name, refit)| {
             let mut names = from.names.clone();
             names.push((*name).to_owned());
             let fine = Settings { iterations: 10, tolerance: 1e-6, ..Settings::default() };
@@ -191,7 +192,8 @@ impl<'a> Searcher<'a> {
             .filter(|t| verdict::gain(&finalists[0], t) < CLOSE)
             .cloned()
             .collect::<Vec<_>>();
-        let simulated = trial::on_all_cores(&close, |t| trial::finish(&self.fitting, t, self.stride));
+        let simulated =
+            parallel::map(&close, parallel::cores(), |t| trial::finish(&self.fitting, t, self.stride));
         for (slot, trial) in finalists.iter_mut().zip(simulated) {
             if let Some(trial) = trial {
                 *slot = trial;

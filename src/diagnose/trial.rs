@@ -6,8 +6,6 @@ use crate::identify::problem::{Part, Problem};
 use crate::identify::refit::{Domain, Refit, inflation, refit};
 use crate::model::{EffectSpec, ModelSpec, Scales};
 use crate::record::Kind;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// How a fitted model does on what it has not seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -153,26 +151,4 @@ fn output_score(problem: &Problem<'_>, refit: &Refit, part: Part, stride: usize)
     let mut residuals = Vec::new();
     let sound = problem.output_residuals(&refit.spec, refit.zero_m, part, stride, &mut residuals);
     sound.then(|| Score::of(&residuals, 0.0))
-}
-
-/// Runs a function for every item on all cores, results in the order of the items.
-pub fn on_all_cores<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
-    let next = AtomicUsize::new(0);
-    let results: Vec<Mutex<Option<R>>> = items.iter().map(|_| Mutex::new(None)).collect();
-    let cores = std::thread::available_parallelism().map_or(1, |n| n.get()).min(items.len().max(1));
-    std::thread::scope(|scope| {
-        for _ in 0..cores {
-            scope.spawn(|| {
-                loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    let (Some(item), Some(slot)) = (items.get(index), results.get(index)) else { break };
-                    let result = work(item);
-                    if let Ok(mut slot) = slot.lock() {
-                        *slot = Some(result);
-                    }
-                }
-            });
-        }
-    });
-    results.into_iter().filter_map(|slot| slot.into_inner().ok().flatten()).collect()
 }

@@ -349,22 +349,8 @@ mod tests {
                 + 0.002 * (3.0 * k * (3.0 * p).cos() - 9.0 * w * w * (3.0 * p).sin());
             (x, a, 0.5 * p.sin())
         };
-        let mut out = Record {
-            source: "test".into(),
-            kind: crate::record::Kind::Base,
-            sample_rate_hz: rate,
-            time_s: (0..n).map(|i| i as f64 / rate).collect(),
-            table_displacement_m: vec![],
-            table_acceleration_m_s2: vec![],
-            mass_acceleration_1_m_s2: vec![],
-            mass_acceleration_2_m_s2: vec![],
-            relative_displacement_m: vec![],
-            force_n: vec![],
-            displacement_m: vec![],
-            acceleration_m_s2: vec![],
-            step: vec![],
-            notes: vec![],
-        };
+        let mut out = Record::empty("test", crate::record::Kind::Base, rate);
+        out.time_s = (0..n).map(|i| i as f64 / rate).collect();
         for i in 0..n {
             let t = i as f64 / rate;
             let (_, a_rel, table) = motion(t);

@@ -3,7 +3,7 @@
 //! changes the command of the same period; nothing in here goes back to the sweep by itself (SR-14).
 
 use super::observation::{Observation, Period, Setup};
-use super::rejoin::{Rejoin, coast};
+use super::rejoin::Rejoin;
 use super::spec::{DetectorId, SafetySpec, Stops};
 use super::stop::{Decay, MinimumJerkStop, Return};
 use super::supervisor::{Event, Order, Refusal, Rules, State, Supervisor};
@@ -316,7 +316,7 @@ impl Guard {
         self.coasted += 1;
         self.passed = point.command;
         let command = if self.coasted as f64 * self.period_s <= COAST_S {
-            coast(&self.last.command, self.period_s)
+            self.last.command.after(self.period_s)
         } else {
             Command { displacement_m: self.last.command.displacement_m, ..Command::default() }
         };
@@ -329,19 +329,14 @@ impl Guard {
     fn come_back(&mut self, generator: &mut Generator) {
         let point = self.coast(generator);
         self.coasted = 0;
-        let (here, there) = (point.command, self.passed);
-        let off = Command {
-            displacement_m: here.displacement_m - there.displacement_m,
-            velocity_m_s: here.velocity_m_s - there.velocity_m_s,
-            acceleration_m_s2: here.acceleration_m_s2 - there.acceleration_m_s2,
-        };
+        let off = point.command - self.passed;
         if matches!(self.source, Source::Sweep) {
             self.rejoin = Some((Rejoin::new(&off, &point, &self.stops, &self.capacity), 0));
         } else if off.displacement_m.abs() > OFF_M || off.velocity_m_s.abs() > OFF_M_S {
             self.returns |= matches!(self.source, Source::Return(_));
             self.stop_at_once();
         } else {
-            self.last.command = there;
+            self.last.command = self.passed;
         }
     }
 
@@ -355,13 +350,7 @@ impl Guard {
             self.rejoin = None;
             return point;
         }
-        let Command { displacement_m, velocity_m_s, acceleration_m_s2 } = point.command;
-        let command = Command {
-            displacement_m: displacement_m + off.displacement_m,
-            velocity_m_s: velocity_m_s + off.velocity_m_s,
-            acceleration_m_s2: acceleration_m_s2 + off.acceleration_m_s2,
-        };
-        CommandPoint { command, ..off_course(point) }
+        CommandPoint { command: point.command + off, ..off_course(point) }
     }
 
     /// Where the source of commands stands in the next period.

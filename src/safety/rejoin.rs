@@ -18,16 +18,6 @@ const SHARE: f64 = 0.25;
 /// Instants at which a way back is examined.
 const INSTANTS: i32 = 24;
 
-/// The command that a drive makes up by itself `time_s` after the last one it was given.
-pub fn coast(last: &Command, time_s: f64) -> Command {
-    Command {
-        displacement_m: last.displacement_m
-            + time_s * (last.velocity_m_s + 0.5 * time_s * last.acceleration_m_s2),
-        velocity_m_s: last.velocity_m_s + time_s * last.acceleration_m_s2,
-        acceleration_m_s2: last.acceleration_m_s2,
-    }
-}
-
 /// Distance from the sweep: `d(t) = d0 + v0 t + a0 t^2/2 + t^3 (b + c t + e t^2)`, the quintic that vanishes at T with
 /// its first two derivatives (Biagiotti and Melchiorri 2008, Trajectory Planning for Automatic Machines and Robots,
 /// section 2.1.5).

@@ -66,6 +66,43 @@ pub struct Command {
     pub acceleration_m_s2: f64,
 }
 
+impl Command {
+    /// What a drive makes of a command by itself `time_s` after it: it goes on with the command's acceleration.
+    #[inline]
+    pub fn after(&self, time_s: f64) -> Self {
+        Self {
+            displacement_m: self.displacement_m
+                + time_s * (self.velocity_m_s + 0.5 * time_s * self.acceleration_m_s2),
+            velocity_m_s: self.velocity_m_s + time_s * self.acceleration_m_s2,
+            acceleration_m_s2: self.acceleration_m_s2,
+        }
+    }
+}
+
+impl std::ops::Add for Command {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            displacement_m: self.displacement_m + other.displacement_m,
+            velocity_m_s: self.velocity_m_s + other.velocity_m_s,
+            acceleration_m_s2: self.acceleration_m_s2 + other.acceleration_m_s2,
+        }
+    }
+}
+
+impl std::ops::Sub for Command {
+    type Output = Self;
+
+    fn sub(self, other: Self) -> Self {
+        Self {
+            displacement_m: self.displacement_m - other.displacement_m,
+            velocity_m_s: self.velocity_m_s - other.velocity_m_s,
+            acceleration_m_s2: self.acceleration_m_s2 - other.acceleration_m_s2,
+        }
+    }
+}
+
 /// One row of a run: what was measured, what was asked, what the onboard model said.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Row {

@@ -125,20 +125,5 @@ impl Bench {
 /// Lets as many workers as there are processors, or as `WORKERS` says, do the jobs; results in order.
 pub fn in_parallel<J: Sync, R: Send>(jobs: &[J], work: impl Fn(&J) -> R + Sync) -> Vec<R> {
     let asked = std::env::var("WORKERS").ok().and_then(|n| n.parse().ok());
-    let workers = asked.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
-    let next = std::sync::atomic::AtomicUsize::new(0);
-    let mut done: Vec<(usize, R)> = std::thread::scope(|scope| {
-        let worker = || {
-            let mut mine = Vec::new();
-            loop {
-                let i = next.fetch_add(1, Ordering::Relaxed);
-                let Some(job) = jobs.get(i) else { return mine };
-                mine.push((i, work(job)));
-            }
-        };
-        let handles: Vec<_> = (0..workers).map(|_| scope.spawn(worker)).collect();
-        handles.into_iter().flat_map(|handle| handle.join().expect("a worker")).collect()
-    });
-    done.sort_by_key(|(i, _)| *i);
-    done.into_iter().map(|(_, result)| result).collect()
+    shaketable::parallel::map(jobs, asked.unwrap_or_else(shaketable::parallel::cores), work)
 }

@@ -15,13 +15,8 @@ const PERIOD_S: f64 = 1.0 / 2048.0;
 
 /// How far a command is off the one before it, carried on by a period.
 fn jump(before: &Command, now: &Command) -> [f64; 3] {
-    let (t, a) = (PERIOD_S, before.acceleration_m_s2);
-    [
-        now.displacement_m - before.displacement_m - t * (before.velocity_m_s + 0.5 * t * a),
-        now.velocity_m_s - before.velocity_m_s - t * a,
-        now.acceleration_m_s2 - a,
-    ]
-    .map(f64::abs)
+    let off = *now - carried_on(before);
+    [off.displacement_m, off.velocity_m_s, off.acceleration_m_s2].map(f64::abs)
 }
 
 /// A sweep of two steps with sleeps of up to `longest` periods; largest jumps of the command, sleeps taken.

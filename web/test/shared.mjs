@@ -22,6 +22,8 @@ export async function daemon(...args) {
     child.on("exit", (code) => failed(new Error(`the daemon ended with ${code}: ${log}`)));
   });
   const ended = new Promise((done) => child.on("exit", done));
+  // A test that fails must not leave its daemon behind.
+  process.on("exit", () => child.kill("SIGTERM"));
   return {
     address, folder, child, log: () => log,
     get: async (path) => (await fetch(`${address}/api/v1/${path}`)).json(),

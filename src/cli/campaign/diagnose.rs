@@ -4,6 +4,7 @@ use super::{Place, refused};
 use crate::campaign::diagnose::{Depth, Diagnosis, Odd, diagnose, odd_entries};
 use crate::campaign::fit::{Cell, Effort, cells};
 use crate::campaign::tables::{Origin, Problem, Study};
+use crate::campaign::{Configuration, Store};
 use crate::cli::{CliError, Outcome};
 use crate::report::Table;
 use indicatif::ProgressBar;
@@ -34,6 +35,15 @@ pub(super) enum Of {
 }
 
 impl Of {
+    /// The study of the campaign, with the results that these peaks come from.
+    pub(super) fn study(self, configuration: Configuration, store: &Store) -> Result<Study, CliError> {
+        let results = match self {
+            Self::Measured => store.results(&configuration).map_err(refused)?,
+            Self::Published => Vec::new(),
+        };
+        Ok(Study::new(configuration, &results))
+    }
+
     pub(super) fn origin(self) -> Origin {
         match self {
             Self::Published => Origin::Published,
@@ -48,15 +58,12 @@ impl Of {
 /// No peaks to judge, or a model that cannot be simulated.
 pub(super) fn execute(args: Args) -> Result<Outcome, CliError> {
     let (configuration, store) = args.place.open()?;
-    let results = match args.origin {
-        Of::Measured => store.results(&configuration).map_err(refused)?,
-        Of::Published => Vec::new(),
-    };
-    let study = Study::new(configuration, &results);
-    let (origin, scatter) = match args.origin {
-        Of::Published => (Origin::Published, [0.08; 3]),
+    let study = args.origin.study(configuration, &store)?;
+    let origin = args.origin.origin();
+    let scatter = match args.origin {
+        Of::Published => [0.08; 3],
         // The steps of the sweep are what limits nu_R; the peaks repeat within a per cent.
-        Of::Measured => (Origin::Measured, [0.01, 0.01, 0.03]),
+        Of::Measured => [0.01, 0.01, 0.03],
     };
     let all = cells(&study.configuration, study.of(origin));
     if all.is_empty() {
@@ -68,7 +75,7 @@ pub(super) fn execute(args: Args) -> Result<Outcome, CliError> {
         if args.bumpers.is_empty() { !bumper.assumed } else { args.bumpers.contains(&bumper.name) }
     };
     let some: Vec<Cell> = all.iter().filter(wanted).cloned().collect();
-    let jobs = std::thread::available_parallelism().map_or(1, |n| n.get());
+    let jobs = crate::parallel::cores();
     let depth =
         Depth { full: Effort::FULL, first: Effort::QUICK, finalists: usize::from(args.finalists), jobs };
     let bar = ProgressBar::new_spinner();

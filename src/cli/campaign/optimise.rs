@@ -4,7 +4,6 @@ use super::{Place, diagnose::Of, refused};
 use crate::campaign::fit::{Cell, cells};
 use crate::campaign::optimise::{Design, Map, Optimum, Space, geometric, linear, optimise};
 use crate::campaign::store::write_whole;
-use crate::campaign::tables::Study;
 use crate::cli::{CliError, Outcome};
 use crate::model::effects;
 use crate::report::{HeatMap, Table};
@@ -57,11 +56,7 @@ fn grid(text: &str) -> Result<(usize, usize), String> {
 /// No peaks, an unknown effect, a model that cannot be simulated, files that cannot be written.
 pub(super) fn execute(args: Args) -> Result<Outcome, CliError> {
     let (configuration, store) = args.place.open()?;
-    let results = match args.origin {
-        Of::Measured => store.results(&configuration).map_err(refused)?,
-        Of::Published => Vec::new(),
-    };
-    let study = Study::new(configuration, &results);
+    let study = args.origin.study(configuration, &store)?;
     let names = args.effects.iter().map(|name| effects::find(name).map(|effect| effect.name));
     let names: Vec<&'static str> = names.collect::<Result<_, _>>().map_err(CliError::usage)?;
     let spec = &study.configuration.spec;
@@ -76,7 +71,7 @@ pub(super) fn execute(args: Args) -> Result<Outcome, CliError> {
         stiffness_n_m: geometric(args.stiffness.0, args.stiffness.1, args.grid.0),
         total_gap_m: linear(args.gap.0, args.gap.1, args.grid.1),
         draws: usize::from(args.draws),
-        jobs: std::thread::available_parallelism().map_or(1, usize::from),
+        jobs: crate::parallel::cores(),
     };
     let bar = ProgressBar::new_spinner();
     let tell = |what: &str| {

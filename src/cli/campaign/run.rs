@@ -77,7 +77,7 @@ pub(super) fn execute(args: Args) -> Result<Outcome, CliError> {
             "a real rig needs an operator at a terminal who confirms bumpers and gaps",
         ));
     }
-    let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
+    let cores = crate::parallel::cores();
     let options = Options {
         shard: args.shard,
         jobs: if asks { 1 } else { args.jobs.map_or(cores, usize::from) },

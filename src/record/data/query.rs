@@ -5,6 +5,7 @@
 
 use super::parquet::take;
 use super::{DataError, content, format, io};
+use crate::parallel;
 use ::parquet::basic::Type as Physical;
 use ::parquet::column::reader::ColumnReader;
 use ::parquet::errors::ParquetError;
@@ -144,18 +145,9 @@ pub fn steps(tree: &Path, conditions: &[Condition]) -> Result<Answer, DataError>
     let mut files = Vec::new();
     walk(&top, &mut Vec::new(), conditions, &mut files)?;
     files.sort();
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let share = files.len().div_ceil(threads).max(1);
-    let parts = std::thread::scope(|scope| {
-        let threads: Vec<_> = files
-            .chunks(share)
-            .map(|files| scope.spawn(move || files.iter().map(read).collect::<Vec<_>>()))
-            .collect();
-        let joined = threads.into_iter().map(|thread| thread.join());
-        joined.map(|part| part.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect::<Vec<_>>()
-    });
+    let tables = parallel::map(&files, parallel::cores(), read);
     let mut answer = Answer { runs: files.len(), ..Answer::default() };
-    for table in parts.into_iter().flatten() {
+    for table in tables {
         append(&mut answer, table?);
     }
     for condition in conditions {

@@ -115,12 +115,8 @@ impl Actuator {
 
     /// Set-point at this instant: between two commands the drive extrapolates the last one.
     fn reference(&self) -> (f64, f64, f64) {
-        let (t, last) = (self.since_active_s, &self.active);
-        (
-            last.displacement_m + t * (last.velocity_m_s + 0.5 * t * last.acceleration_m_s2),
-            last.velocity_m_s + t * last.acceleration_m_s2,
-            last.acceleration_m_s2,
-        )
+        let now = self.active.after(self.since_active_s);
+        (now.displacement_m, now.velocity_m_s, now.acceleration_m_s2)
     }
 
     /// The stop that the drive makes by itself: constant deceleration, then position hold.

@@ -1,0 +1,46 @@
+//! One function over many items on the cores that there are: fits, candidates, files. Called by identification,
+//! diagnosis, campaigns and questions to a tree of runs; never by anything beside a moving table. Results do not depend
+//! on how many threads there were.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Cores that this process may use, at least one.
+pub fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// Results of a function over a list, in the list's order, on at most so many threads; each takes the next item when it
+/// is free. A panic of the function goes on in the caller.
+pub fn map<T: Sync, R: Send>(items: &[T], threads: usize, work: impl Fn(&T) -> R + Sync) -> Vec<R> {
+    let next = AtomicUsize::new(0);
+    let share = || {
+        let mut mine = Vec::new();
+        loop {
+            let i = next.fetch_add(1, Ordering::Relaxed);
+            let Some(item) = items.get(i) else { return mine };
+            mine.push((i, work(item)));
+        }
+    };
+    let mut done: Vec<(usize, R)> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..threads.clamp(1, items.len().max(1))).map(|_| scope.spawn(share)).collect();
+        let joined = threads.into_iter().map(|thread| thread.join());
+        joined.flat_map(|part| part.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+    });
+    done.sort_by_key(|(i, _)| *i);
+    done.into_iter().map(|(_, result)| result).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_stand_in_the_order_of_their_items_whatever_the_number_of_threads() {
+        let items: Vec<u64> = (0..200).collect();
+        let expected: Vec<u64> = items.iter().map(|n| n * n).collect();
+        for threads in [0, 1, 3, 500] {
+            assert_eq!(map(&items, threads, |n| n * n), expected);
+        }
+        assert!(map(&[] as &[u64], 4, |n| *n).is_empty());
+    }
+}
