@@ -370,7 +370,7 @@ pub fn linear(low: f64, high: f64, count: usize) -> Vec<f64> {
 mod tests {
     use super::*;
     use crate::campaign::fit;
-    use crate::campaign::tables::{Origin};
+    use crate::campaign::tables::Origin;
     use crate::campaign::testing::published as study;
 
     #[test]

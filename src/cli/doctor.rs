@@ -1,7 +1,7 @@
 //! `shaketable doctor`: what real time needs of this machine, what is missing, and how to get it.
 
 use super::{CliError, Outcome};
-use crate::control::thread::{PRIORITY, may_use_fifo};
+use crate::control::thread::{Awake, PRIORITY, may_use_fifo};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -57,6 +57,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let checks = [
         priority(),
         memory(),
+        idle_states(),
         preemption(Path::new("/sys/kernel/realtime"), Path::new("/proc/version")),
         governor(Path::new("/sys/devices/system/cpu")),
         throttling(Path::new("/proc/sys/kernel/sched_rt_runtime_us")),
@@ -132,6 +133,21 @@ fn memory() -> Check {
         found,
         "`@realtime - memlock unlimited` in /etc/security/limits.d/realtime.conf",
     )
+}
+
+fn idle_states() -> Check {
+    match Awake::request() {
+        Ok(_) => Check::new("idle states", State::Ok, "held off during a run", ""),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            Check::new("idle states", State::Absent, "the kernel has no PM QoS interface", "")
+        }
+        Err(error) => Check::new(
+            "idle states",
+            State::Missing,
+            format!("{}: {error}", Awake::PATH),
+            r#"`KERNEL=="cpu_dma_latency", GROUP="realtime", MODE="0660"` in /etc/udev/rules.d/99-realtime.rules"#,
+        ),
+    }
 }
 
 fn preemption(flag: &Path, version: &Path) -> Check {

@@ -182,7 +182,8 @@ fn spawn_control(
                     run_virtual(controller, &recorder)
                 }
                 Pace::Wall { cpu, require_realtime } => {
-                    let state = set_up(cpu);
+                    // Held until the table stands still.
+                    let (state, _awake) = set_up(cpu);
                     let refuse = require_realtime && !state.complete();
                     let _ = ready.send(Some(state));
                     let watched = line.map(|line| Watchdog::start(controller.heart(), line, timeout));
