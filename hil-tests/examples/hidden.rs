@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut words = std::env::args().skip(1);
     let study = words.next().unwrap_or_else(|| "blind".to_owned());
-    let (mut seeds, mut size, mut noise, mut only) = (0..20u64, 0.05, 1.0, None);
+    let (mut seeds, mut size, mut noise, mut only, mut verbose) = (0..20u64, 0.05, 1.0, None, false);
     while let Some(word) = words.next() {
         let value = words.next().ok_or("a value is missing")?;
         match word.as_str() {
@@ -21,6 +21,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             }
             "--size" => size = value.parse()?,
             "--noise" => noise = value.parse()?,
+            "--verbose" => verbose = value.parse()?,
             "--only" => only = Some(value),
             other => return Err(format!("unknown argument {other}").into()),
         }
@@ -30,12 +31,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut cases = 0;
     for seed in seeds {
         let effects: Vec<&'static str> = match (study.as_str(), &only) {
-            ("healthy", _) => vec![],
+            ("healthy" | "outside", _) => vec![],
             ("pairs", _) => hidden::pair(seed),
             (_, Some(name)) => vec![effects::find(name)?.name],
             _ => vec![all[seed as usize % all.len()]],
         };
-        let recipe = Recipe { seed, effects: effects.clone(), size, noise };
+        let foreign = (study == "outside").then_some(seed as usize % hidden::FOREIGN.len());
+        let recipe = Recipe { seed, effects: effects.clone(), foreign, size, noise };
         let Some(case) = hidden::make(&recipe) else {
             println!("{seed}\t{}\tnot reached", effects.join("+"));
             continue;
@@ -53,8 +55,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             found.effects.iter().map(|e| format!("{} {:.2}", e.name, e.probability)).collect();
         let first = found.effects.first().map(|e| e.name.as_str());
         let right = match found.verdict {
-            Verdict::Adequate => effects.is_empty(),
-            Verdict::OutsideCatalogue => false,
+            Verdict::Adequate => effects.is_empty() && foreign.is_none(),
+            Verdict::OutsideCatalogue => foreign.is_some(),
             _ => {
                 !effects.is_empty()
                     && effects
@@ -78,6 +80,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             })
             .or_default() += 1;
         *tally.entry(found.verdict.name()).or_default() += 1;
+        if verbose {
+            println!("{}\n{:#?}\n{:#?}", found.text(), case.truth, case.nominal);
+        }
         if !right {
             for refused in found.refused.iter().take(6) {
                 println!("\t\t{}: {}", refused.name, refused.reason);
@@ -92,7 +97,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             } else {
                 "WRONG"
             },
-            effects.join("+"),
+            foreign.map_or_else(|| effects.join("+"), |number| hidden::FOREIGN[number].0.to_owned()),
             found.verdict.name(),
             named.join(", "),
             found.ambiguous_with.join(", "),

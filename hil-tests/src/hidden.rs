@@ -16,6 +16,8 @@ pub struct Recipe {
     pub seed: u64,
     /// Effects that the specimen carries.
     pub effects: Vec<&'static str>,
+    /// A force that the catalogue does not have, by its number in [`FOREIGN`].
+    pub foreign: Option<usize>,
     /// RMS change of A that each effect makes, relative.
     pub size: f64,
     /// Multiple of 0.01 m/s2 and 30 um of sensor noise.
@@ -42,6 +44,17 @@ pub fn studied() -> Vec<&'static str> {
         .collect()
 }
 
+/// Forces that the catalogue does not have, with an amplitude `f` in N over scaled displacement `d/dm` and velocity
+/// `v/vm`: what they are, and the expression.
+pub const FOREIGN: [(&str, &str); 6] = [
+    ("ripple over D", "f*sin(9.42477796076938*d/dm)"),
+    ("force on one side only", "f*max(d/dm, 0)^2"),
+    ("damping that grows with D", "f*(d/dm)^2*(v/vm)"),
+    ("cubic damping", "f*(v/vm)^3"),
+    ("friction over a stretch", "f*tanh(20*v/vm)*exp(-(6*d/dm-3)^2)"),
+    ("force that swells", "f*(d/dm)*sin(0.35*t)"),
+];
+
 /// Two different physical effects from a seed.
 pub fn pair(seed: u64) -> Vec<&'static str> {
     let physical: Vec<&'static str> =
@@ -61,9 +74,28 @@ pub fn make(recipe: &Recipe) -> Option<Hidden> {
     let mut truth = off_nominal(&nominal, &mut random);
     let input = sweep(acceleration);
     for name in &recipe.effects {
-        truth = with_effect(&truth, name, recipe.size, &input, &mut random)?;
+        truth = with_effect(&truth, effects::find(name).ok()?, None, recipe.size, &input, &mut random)?;
+    }
+    if let Some((_, text)) = recipe.foreign.map(|number| FOREIGN[number]) {
+        let own = effects::find("expression").ok()?;
+        truth = with_effect(&truth, own, Some(text), recipe.size, &input, &mut random)?;
     }
     let record = measure(&truth, &input, recipe.noise, &mut random)?;
+    Some(Hidden { record, nominal, truth })
+}
+
+/// The specimen of a case tested again at 0.04 g, its total gap made wider by so much and its instruments mounted anew.
+pub fn again(case: &Hidden, wider_m: f64, seed: u64) -> Option<Hidden> {
+    let wider = |spec: &ModelSpec| {
+        let mut spec = spec.clone();
+        if let Some(bumper) = &mut spec.bumper {
+            bumper.total_gap_m += wider_m;
+        }
+        spec
+    };
+    let (nominal, truth) = (wider(&case.nominal), wider(&case.truth));
+    let mut random = Pcg64::seed_from_u64(seed);
+    let record = measure(&truth, &sweep(0.04 * STANDARD_GRAVITY_M_S2), 1.0, &mut random)?;
     Some(Hidden { record, nominal, truth })
 }
 
@@ -140,12 +172,12 @@ fn sweep(amplitude: f64) -> Input {
 /// `size`.
 fn with_effect(
     truth: &ModelSpec,
-    name: &str,
+    effect: &effects::Effect,
+    expression: Option<&str>,
     size: f64,
     input: &Input,
     random: &mut Pcg64,
 ) -> Option<ModelSpec> {
-    let effect = effects::find(name).ok()?;
     let dt = 1.0 / SAMPLE_RATE_HZ;
     let reference = response(truth, &input.acceleration)?;
     let mut scales = Scales::of_spec(truth, dt);
@@ -162,7 +194,11 @@ fn with_effect(
     }
     let parameters: Vec<_> =
         (effect.parameters)(&scales).into_iter().filter(|p| p.default.is_none()).collect();
-    let mut spec = EffectSpec { name: name.to_owned(), expression: None, parameters: Default::default() };
+    let mut spec = EffectSpec {
+        name: effect.name.to_owned(),
+        expression: expression.map(str::to_owned),
+        parameters: Default::default(),
+    };
     for p in &parameters {
         let q = random.random_range(0.35..0.65);
         let (low, high) = p.prior;
@@ -185,11 +221,23 @@ fn with_effect(
         return Some(with);
     }
     // Bisect the leading parameter on a logarithmic scale.
-    let leading = parameters.first()?;
-    let start = spec.parameters[leading.name];
+    let leading = match (expression, parameters.first()) {
+        (Some(_), _) => {
+            for (name, value) in
+                [("dm", scales.displacement_m), ("vm", scales.velocity_m_s), ("f", 0.1 * scales.force_n)]
+            {
+                if expression.is_some_and(|text| text.contains(name)) {
+                    spec.parameters.insert(name.to_owned(), value);
+                }
+            }
+            "f"
+        }
+        (None, first) => first?.name,
+    };
+    let start = spec.parameters[leading];
     let change = |factor: f64| -> Option<f64> {
         let mut spec = spec.clone();
-        spec.parameters.insert(leading.name.to_owned(), start * factor);
+        spec.parameters.insert(leading.to_owned(), start * factor);
         let mut with = truth.clone();
         with.effects.push(spec);
         let changed = response(&with, &input.acceleration)?;
@@ -209,7 +257,7 @@ fn with_effect(
     if !(0.5..2.0).contains(&(reached / size)) {
         return None;
     }
-    spec.parameters.insert(leading.name.to_owned(), start * (low * high).sqrt());
+    spec.parameters.insert(leading.to_owned(), start * (low * high).sqrt());
     let mut with = truth.clone();
     with.effects.push(spec);
     Some(with)

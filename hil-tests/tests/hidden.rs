@@ -1,10 +1,11 @@
 //! The diagnosis on records with a hidden effect; a small part of the study that the book reports.
 
 use hil_tests::hidden::{self, Recipe};
-use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose};
+use shaketable::diagnose::live::evidence;
+use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose, diagnose_together};
 
 fn case(seed: u64, effects: &[&'static str], size: f64) -> Diagnosis {
-    let recipe = Recipe { seed, effects: effects.to_vec(), size, noise: 1.0 };
+    let recipe = Recipe { seed, effects: effects.to_vec(), foreign: None, size, noise: 1.0 };
     let case = hidden::make(&recipe).expect("the effect reaches its size");
     diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record")
 }
@@ -37,4 +38,37 @@ fn parameters_that_are_merely_off_are_no_missing_effect() {
 fn a_late_laser_is_an_instrument_and_no_physics() {
     let found = case(5_000_018, &["laser-delay"], 0.05);
     assert_eq!(found.effects.first().map(|e| e.name.as_str()), Some("laser-delay"), "{:?}", found.effects);
+}
+
+#[test]
+fn records_of_two_gaps_are_diagnosed_together() {
+    let recipe = Recipe {
+        seed: 5_000_302,
+        effects: vec!["hunt-crossley-damping"],
+        foreign: None,
+        size: 0.08,
+        noise: 1.0,
+    };
+    let first = hidden::make(&recipe).expect("the effect reaches its size");
+    let second = hidden::again(&first, 0.004, 5_000_303).expect("a response");
+    let tests = [(&first.record, &first.nominal), (&second.record, &second.nominal)];
+    let found = diagnose_together(&tests, &Options::default()).expect("records that belong together");
+    assert_eq!(found.verdict, Verdict::Missing, "{:?} {:?}", found.effects, found.refused);
+    assert_eq!(found.effects[0].name, "hunt-crossley-damping");
+    let steps = |record: &shaketable::record::Record| *record.step.iter().max().expect("steps") as usize + 1;
+    assert_eq!(found.steps.len(), steps(&first.record) + steps(&second.record));
+    // The hint that is given while a run goes on points the same way.
+    let hint = evidence(&first.record, &first.nominal).expect("enough steps");
+    assert_eq!(hint.candidates[0].name, "hunt-crossley-damping", "{hint:?}");
+}
+
+#[test]
+fn a_force_that_no_effect_explains_is_outside_the_catalogue() {
+    // A ripple over the displacement.
+    let recipe = Recipe { seed: 5_000_201, effects: vec![], foreign: Some(0), size: 0.12, noise: 1.0 };
+    let case = hidden::make(&recipe).expect("the force reaches its size");
+    let found = diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record");
+    assert_eq!(found.verdict, Verdict::OutsideCatalogue, "{:?}", found.effects);
+    let shape = found.missing_force.expect("a shape");
+    assert!(shape.explained_by_surface > 0.5, "{}", shape.explained_by_surface);
 }

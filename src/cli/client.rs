@@ -1,6 +1,7 @@
 //! What `status`, `start`, `stop`, `hold` and `watch` share: how to reach a daemon that runs.
 
 use super::CliError;
+use crate::diagnose::live::Evidence;
 use serde_json::Value;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -167,7 +168,7 @@ pub fn progress(status: &Value) -> String {
     let run = &status["run"];
     let number = |value: &Value| value.as_f64().unwrap_or(0.0);
     format!(
-        "{:<9} {:>5.1} %  step {}/{} {:.2} Hz {}  model error A {:.1} %, D {:.1} %  ETA {:.0} s  slips {}",
+        "{:<9} {:>5.1} %  step {}/{} {:.2} Hz {}  model error A {:.1} %, D {:.1} %  ETA {:.0} s  slips {}{}",
         status["state"].as_str().unwrap_or("-"),
         100.0 * number(&run["progress"]),
         run["step"].as_u64().map_or(0, |step| step + 1),
@@ -177,6 +178,8 @@ pub fn progress(status: &Value) -> String {
         100.0 * number(&run["nrmse_a"]),
         100.0 * number(&run["nrmse_d"]),
         number(&run["eta_s"]),
-        run["slips"]
+        run["slips"],
+        serde_json::from_value::<Evidence>(run["evidence"].clone())
+            .map_or_else(|_| String::new(), |found| format!("  {}", found.line()))
     )
 }

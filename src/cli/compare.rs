@@ -3,8 +3,6 @@
 use super::reading::ReadArgs;
 use super::{CliError, Outcome};
 use crate::compare::{Comparison, compare};
-use crate::config::builtin;
-use crate::model::ModelSpec;
 use crate::record::quality;
 use crate::report::Table;
 use crate::report::comparison::{method, page, tables};
@@ -31,8 +29,7 @@ pub struct Args {
 /// # Errors
 /// [`CliError`] for a bad model file, a record that cannot be read or lacks what its kind needs.
 pub fn execute(args: Args) -> Result<Outcome, CliError> {
-    let source = builtin::find("models", &args.model).map_err(|error| CliError::Usage(error.into()))?;
-    let spec: ModelSpec = source.parse().map_err(|error| CliError::Usage(error.into()))?;
+    let spec = super::reading::read_model(&args.model)?;
     let record = args.record.open()?;
     let comparison = compare(&record, &spec).map_err(|error| {
         // A bad record is named as such even where it cannot be compared.

@@ -1,17 +1,33 @@
 //! `shaketable diagnose`: what is missing from the model, and the next test.
 
-use super::reading::ReadArgs;
+use super::reading::ReadingArgs;
 use super::{CliError, Outcome};
-use crate::diagnose::{Options, diagnose};
+use crate::diagnose::live::evidence;
+use crate::diagnose::{Options, diagnose_together};
+use crate::model::ModelSpec;
+use crate::record::Record;
+use crate::report::diagnosis::page;
+use std::path::PathBuf;
 
-/// Find out which physical effect a model lacks, from a record.
+/// Find out which physical effect a model lacks, from one record or several of the same specimen.
 #[derive(clap::Args)]
 pub struct Args {
+    /// Run folders or data files (Parquet, CSV, HDF5, MAT v7.3, UFF58) of one specimen
+    #[arg(required = true, value_name = "RECORD")]
+    records: Vec<PathBuf>,
     #[command(flatten)]
-    read: ReadArgs,
-    /// Model file, or the name of a model that comes with the program.
-    #[arg(long)]
-    model: String,
+    reading: ReadingArgs,
+    /// Model file, or the name of a model that comes with the program; once for all records, or once for each,
+    /// where gap or bumpers were changed between them (the first with bumpers).
+    #[arg(long, required = true)]
+    model: Vec<String>,
+    /// Only what each candidate adds, from the force along the measured motion: seconds and no verdict. For a run that still
+    /// goes on; works at low priority.
+    #[arg(long, conflicts_with = "report")]
+    evidence: bool,
+    /// Write a page with the error ladder, all tables and the shape of the missing force.
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
@@ -22,14 +38,55 @@ pub struct Args {
 /// # Errors
 /// A record or model that cannot be read, or does not go together.
 pub fn execute(args: Args) -> Result<Outcome, CliError> {
-    let model = super::effect::read_model(&args.model)?;
-    let record = args.read.open()?;
-    let answer = diagnose(&record, &model, &Options::default()).map_err(CliError::failed)?;
+    if args.model.len() != 1 && args.model.len() != args.records.len() {
+        return Err(CliError::usage(format!(
+            "{} models for {} records; give one for all, or one for each",
+            args.model.len(),
+            args.records.len()
+        )));
+    }
+    let names = args.records.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
+    let models: Vec<ModelSpec> =
+        args.model.iter().map(|name| super::reading::read_model(name)).collect::<Result<_, _>>()?;
+    let open = |path: PathBuf| args.reading.clone().of(path).open();
+    let records: Vec<Record> = args.records.into_iter().map(open).collect::<Result<_, _>>()?;
+    if args.evidence {
+        return show_evidence(&records, &models, args.json);
+    }
+    let tests: Vec<(&Record, &ModelSpec)> = records.iter().zip(models.iter().cycle()).collect();
+    let answer = diagnose_together(&tests, &Options::default()).map_err(CliError::failed)?;
+    if let Some(path) = &args.report {
+        let title = format!("What is missing: {names} against {}", models[0].name);
+        page(&title, &answer).and_then(|page| page.write(path)).map_err(CliError::failed)?;
+        eprintln!("report: {}", path.display());
+    }
     if args.json {
         let text = serde_json::to_string(&answer).map_err(CliError::failed)?;
         println!("{text}");
     } else {
         print!("{}", answer.text());
+    }
+    Ok(Outcome::Done)
+}
+
+/// Evidence of one record.
+fn show_evidence(records: &[Record], models: &[ModelSpec], json: bool) -> Result<Outcome, CliError> {
+    let ([record], [model]) = (records, models) else {
+        return Err(CliError::usage("--evidence takes one record and one model"));
+    };
+    // Beside a moving table; without the right to step back it works all the same.
+    let _ = rustix::process::nice(10);
+    let found = evidence(record, model).map_err(CliError::failed)?;
+    if json {
+        println!("{}", serde_json::to_string(&found).map_err(CliError::failed)?);
+    } else {
+        println!("after {} steps:", found.steps);
+        for candidate in &found.candidates {
+            println!("{:<24} {:>+9.1} nats", candidate.name, candidate.evidence_nats);
+        }
+        if found.candidates.is_empty() {
+            println!("{}", found.line());
+        }
     }
     Ok(Outcome::Done)
 }

@@ -1,8 +1,8 @@
 //! `effect`: the catalogue, and effects into and out of model files.
 
-use super::reading::ReadingArgs;
+use super::reading::{ReadingArgs, read_model};
 use super::{CliError, Outcome};
-use crate::config::{Check, ConfigError, builtin::find};
+use crate::config::Check;
 use crate::diagnose::adding::{self, Added};
 use crate::model::effects::{self, CATALOGUE, Effect};
 use crate::model::{EffectSpec, ModelSpec, Scales, build};
@@ -140,12 +140,6 @@ fn parse_parameter(text: &str) -> Result<(String, f64), String> {
     let (name, value) = text.split_once('=').ok_or_else(|| format!("`{text}`; wanted: name=value"))?;
     let value = value.trim().parse().map_err(|_| format!("`{value}` is not a number"))?;
     Ok((name.trim().to_owned(), value))
-}
-
-pub(super) fn read_model(name: &str) -> Result<ModelSpec, CliError> {
-    find("models", name)
-        .and_then(|source| source.parse())
-        .map_err(|error: ConfigError| CliError::Usage(error.into()))
 }
 
 fn refuse_invalid(model: &ModelSpec) -> Result<(), CliError> {

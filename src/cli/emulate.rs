@@ -1,7 +1,7 @@
 //! `shaketable emulate`: the devices of a rig file in software, on a pseudo terminal and a CAN interface, with the simulated
 //! table of the same file behind them, in real time. Faults come from `--fault` or from standard input.
 
-use super::run::read_model;
+use super::reading::read_model;
 use super::{CliError, Outcome};
 use crate::config::builtin::find;
 use crate::config::{Case, ConfigError};

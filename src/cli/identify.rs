@@ -31,7 +31,7 @@ pub struct Args {
 /// A record or model that cannot be read, or does not go together; an output that cannot be
 /// written.
 pub fn execute(args: Args) -> Result<Outcome, CliError> {
-    let nominal = super::effect::read_model(&args.model)?;
+    let nominal = super::reading::read_model(&args.model)?;
     let record = args.read.open()?;
     let motion = Motion::of(&record, nominal.mass_kg, Tolerances::default()).map_err(CliError::failed)?;
     let searcher = Searcher::new(&motion, &nominal, Effort::default());

@@ -1,9 +1,12 @@
 //! Arguments that every subcommand which opens a record shares.
 
 use super::CliError;
+use crate::config::{ConfigError, builtin::find};
+use crate::control::setup::Setup;
+use crate::model::ModelSpec;
 use crate::record::data::{Mapping, ReadOptions};
-use crate::record::{Kind, Record};
-use std::path::PathBuf;
+use crate::record::{Kind, Record, RunFolder};
+use std::path::{Path, PathBuf};
 
 /// A record and how to understand it.
 #[derive(Clone, Debug, clap::Args)]
@@ -65,4 +68,19 @@ impl ReadArgs {
         }
         Ok(record)
     }
+}
+
+/// Reads a model by name or path; of a run folder its onboard model.
+///
+/// # Errors
+/// [`CliError::Usage`] when there is none, or what there is is not valid.
+pub(super) fn read_model(name: &str) -> Result<ModelSpec, CliError> {
+    let path = Path::new(name);
+    if path.is_dir() {
+        let manifest = RunFolder::open(path).and_then(|folder| folder.manifest()).map_err(CliError::usage)?;
+        return Ok(Setup::of_run(&manifest).map_err(CliError::usage)?.model);
+    }
+    find("models", name)
+        .and_then(|source| source.parse())
+        .map_err(|error: ConfigError| CliError::Usage(error.into()))
 }

@@ -56,7 +56,7 @@ fn of_run(args: &Args) -> Result<(Plan, Vec<Row>, Option<String>), CliError> {
     let (rows, damage) = readable_rows(&folder).map_err(CliError::failed)?;
     let mut setup = Setup::of_run(&recorded).map_err(CliError::failed)?;
     if let Some(model) = &args.model {
-        setup.model = super::run::read_model(model)?;
+        setup.model = super::reading::read_model(model)?;
     }
     setup.name = format!("replay-{}", recorded.name);
     let samples = rows.iter().map(|row| row.sample).collect();
@@ -70,7 +70,7 @@ fn of_file(args: &Args) -> Result<Plan, CliError> {
     let Some(model) = &args.model else {
         return Err(CliError::usage("a data file names no model; give `--model`"));
     };
-    let model = super::run::read_model(model)?;
+    let model = super::reading::read_model(model)?;
     let record = args.read.open()?;
     if record.kind != Kind::Base {
         let kind = record.kind.name();

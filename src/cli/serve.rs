@@ -1,6 +1,6 @@
 //! `serve`: the daemon with its page.
 
-use super::run::read_model;
+use super::reading::read_model;
 use super::{CliError, Outcome};
 use crate::config::builtin::find;
 use crate::config::{Case, ConfigError};

@@ -10,6 +10,7 @@ use super::work::{Work, WorkError};
 use crate::control::clock::now_ns;
 use crate::control::session::{Operator, Pace};
 use crate::control::{Nrmse, Request, StepSummary};
+use crate::diagnose::live::Follower;
 use crate::record::folder::now_utc;
 use crate::rig::RigSpec;
 use crate::rig::hardware::HardwareMonitor;
@@ -79,6 +80,7 @@ pub(super) struct Live {
     pub(super) schedule: Schedule,
     pub(super) rate_hz: f64,
     pub(super) steps: Vec<StepSummary>,
+    pub(super) evidence: Follower,
     pub(super) error: Nrmse,
     pub(super) slips: u64,
     pub(super) daq_lost: u64,

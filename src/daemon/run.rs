@@ -8,6 +8,7 @@ use crate::control::clock::now_ns;
 use crate::control::session::{self, Finished, Session};
 use crate::control::setup::Setup;
 use crate::control::{Ending, Event, Nrmse, Request};
+use crate::diagnose::live::Follower;
 use crate::record::folder::now_utc;
 use crate::record::recorder::Notice;
 use crate::report::of_run;
@@ -41,6 +42,7 @@ impl Desk {
                 schedule,
                 rate_hz: setup.rig.sample_rate_hz,
                 steps: Vec::new(),
+                evidence: Follower::default(),
                 error: Nrmse::default(),
                 slips: 0,
                 daq_lost: 0,
@@ -196,7 +198,10 @@ impl Desk {
             }
             Event::Slip { .. } => live.slips += 1,
             Event::DaqGap { missing, .. } => live.daq_lost += missing,
-            Event::Step(step) => live.steps.push(*step),
+            Event::Step(step) => {
+                live.steps.push(*step);
+                live.evidence.step_finished(self.options.out.join(&live.id), live.steps.len());
+            }
             Event::Obeyed { request: Request::Stop, at_ns, .. } => {
                 let asked_ns = live.asked_ns.unwrap_or_else(now_ns);
                 self.stop_latency_ns.store(at_ns.saturating_sub(asked_ns).max(1), Ordering::Relaxed);

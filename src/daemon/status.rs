@@ -6,6 +6,7 @@ use super::desk::{Cause, Desk, Ended, Live};
 use super::meters::Meters;
 use super::state::{Action, State};
 use crate::control::StepSummary;
+use crate::diagnose::live::Evidence;
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -82,6 +83,8 @@ pub struct Running {
     pub real_time: Option<String>,
     /// Share of the recorder's ring that waits, 0 to 1.
     pub ring_fill: f64,
+    /// What the finished steps say of missing effects; absent before there are enough of them.
+    pub evidence: Option<Evidence>,
 }
 
 /// The whole status.
@@ -208,5 +211,6 @@ fn running(live: &Live, ring_fill: f64) -> Running {
         finished: live.steps.len(),
         real_time: live.real_time.clone(),
         ring_fill,
+        evidence: live.evidence.latest(),
     }
 }

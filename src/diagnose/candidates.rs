@@ -30,9 +30,8 @@ pub fn physical(spec: &ModelSpec, kind: Kind) -> Vec<&'static Effect> {
 pub fn contained_in(name: &str) -> &'static [&'static str] {
     match name {
         "stribeck-friction" => &["coulomb-friction"],
-        "iwan-hysteresis" => &["bouc-wen-hysteresis", "coulomb-friction"],
+        "iwan-hysteresis" => &["coulomb-friction"],
         "bouc-wen-hysteresis" => &["coulomb-friction"],
-        "fractional-damping" => &["quadratic-damping"],
         "hertz-contact" => &["bumper-stiffening"],
         "stand-compliance" => &["bumper-preload"],
         _ => &[],

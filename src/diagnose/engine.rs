@@ -3,14 +3,16 @@
 use super::instruments::{self, Finding};
 use super::missing_force;
 use super::next_test::{self, Reach};
-use super::report::{Diagnosis, NamedEffect, ParameterEstimate, Reidentified, Rung};
+use super::report::{Diagnosis, NamedEffect, ParameterEstimate, Reidentified, Rung, StepErrors};
 use super::search::{Effort, Search, Searcher};
+use super::structure;
 use super::trial::{self, Trial};
 use super::verdict::{self, Decision, Refused, Thresholds, Verdict};
 use crate::identify::kinematics::Tolerances;
 use crate::identify::motion::{Motion, MotionError};
 use crate::identify::problem::{OutputError, Part, Problem};
 use crate::identify::refit::Refit;
+use crate::identify::together::{Setting, TogetherError};
 use crate::model::{ModelError, ModelSpec, effects};
 use crate::record::{Kind, Record};
 use std::time::Instant;
@@ -34,6 +36,9 @@ pub enum DiagnoseError {
     /// The record does not hold what its kind needs.
     #[error(transparent)]
     Motion(#[from] MotionError),
+    /// The records do not belong together.
+    #[error(transparent)]
+    Together(#[from] TogetherError),
     /// The model cannot be built.
     #[error(transparent)]
     Model(#[from] ModelError),
@@ -70,19 +75,42 @@ pub fn noise_floor(motion: &Motion, error: &OutputError) -> f64 {
 /// # Errors
 /// A record that lacks a channel, a model that cannot be built or follows nothing.
 pub fn diagnose(record: &Record, nominal: &ModelSpec, options: &Options) -> Result<Diagnosis, DiagnoseError> {
+    diagnose_together(&[(record, nominal)], options)
+}
+
+/// Diagnoses several records of one specimen as one; their models may differ in gap and bumpers alone, and the first
+/// record is one with bumpers, if any is.
+///
+/// # Errors
+/// As of [`diagnose`]; records that do not belong together; none.
+pub fn diagnose_together(
+    tests: &[(&Record, &ModelSpec)],
+    options: &Options,
+) -> Result<Diagnosis, DiagnoseError> {
     let begun = Instant::now();
-    crate::model::build(nominal, 1.0 / record.sample_rate_hz)?;
-    let motion = Motion::of(record, nominal.mass_kg, options.tolerances)?;
+    let Some((_, nominal)) = tests.first() else {
+        return Err(MotionError::TooShort { samples: 0, needed: 1 }.into());
+    };
+    let mut parts = Vec::with_capacity(tests.len());
+    let mut findings: Vec<Finding> = Vec::new();
+    for (record, model) in tests {
+        crate::model::build(model, 1.0 / record.sample_rate_hz)?;
+        let motion = Motion::of(record, model.mass_kg, options.tolerances)?;
+        let judged = |found| instruments::judge(found, record, options.tolerances);
+        for finding in motion.instruments.as_ref().map(judged).unwrap_or_default() {
+            if !findings.iter().any(|known| known.name == finding.name) {
+                findings.push(finding);
+            }
+        }
+        parts.push((motion, Setting::between(nominal, model)?));
+    }
+    let motion = Motion::together(parts)?;
     let searcher = Searcher::new(&motion, nominal, options.effort);
     let diverges = || DiagnoseError::Diverges { name: nominal.name.clone() };
     let search = searcher.search(nominal, options.thresholds).ok_or_else(diverges)?;
-    let decision = verdict::decide(&search, options.thresholds);
-    let findings = motion
-        .instruments
-        .as_ref()
-        .map(|found| instruments::judge(found, record, options.tolerances))
-        .unwrap_or_default();
-    let mut out = Composer { record, nominal, options, motion: &motion, searcher: &searcher }
+    let structure = |trial: &Trial| structure::examine(searcher.problem(), &trial.refit).unwrap_or_default();
+    let decision = verdict::decide(&search, structure, options.thresholds);
+    let mut out = Composer { tests, nominal, options, motion: &motion, searcher: &searcher }
         .compose(&search, decision, &findings)
         .ok_or_else(diverges)?;
     out.wall_s = begun.elapsed().as_secs_f64();
@@ -90,7 +118,7 @@ pub fn diagnose(record: &Record, nominal: &ModelSpec, options: &Options) -> Resu
 }
 
 struct Composer<'a> {
-    record: &'a Record,
+    tests: &'a [(&'a Record, &'a ModelSpec)],
     nominal: &'a ModelSpec,
     options: &'a Options,
     motion: &'a Motion,
@@ -157,6 +185,7 @@ impl Composer<'_> {
             next_test: if verdict == Verdict::Ambiguous { self.next_test(search, &decision) } else { None },
             ambiguous_with: decision.ambiguous_with,
             missing_force: missing_force::map(problem, &search.base.refit, Part::All),
+            steps: self.steps(problem, &search.base.refit, &chosen.refit),
             ladder,
             reidentified: self.reidentified(&chosen.refit),
             not_identifiable: self.not_identifiable(&chosen.refit),
@@ -168,7 +197,11 @@ impl Composer<'_> {
 
     /// The motion with the instruments taken as they are.
     fn raw_motion(&self) -> Option<Motion> {
-        Motion::uncorrected(self.record, self.nominal.mass_kg).ok()
+        let part = |(record, model): &(&Record, &ModelSpec)| {
+            let motion = Motion::uncorrected(record, model.mass_kg).ok()?;
+            Some((motion, Setting::between(self.nominal, model).ok()?))
+        };
+        Motion::together(self.tests.iter().map(part).collect::<Option<_>>()?).ok()
     }
 
     fn named(&self, search: &Search, decision: &Decision, problem: &Problem<'_>) -> Vec<NamedEffect> {
@@ -211,10 +244,15 @@ impl Composer<'_> {
     }
 
     fn refused(&self, decision: &Decision) -> Vec<Refused> {
+        // The last stage that an effect was tried in speaks.
         let mut out: Vec<Refused> = Vec::new();
         for refused in &decision.refused {
-            if !decision.chosen.names.contains(&refused.name) && !out.iter().any(|r| r.name == refused.name) {
-                out.push(refused.clone());
+            if decision.chosen.names.contains(&refused.name) {
+                continue;
+            }
+            match out.iter_mut().find(|known| known.name == refused.name) {
+                Some(known) => known.clone_from(refused),
+                None => out.push(refused.clone()),
             }
         }
         out
@@ -249,6 +287,22 @@ impl Composer<'_> {
         next_test::propose((&chosen.0, chosen.1), (&verdict::last_name(rival), &rival.refit), &reach)
     }
 
+    fn steps(&self, problem: &Problem<'_>, without: &Refit, with: &Refit) -> Vec<StepErrors> {
+        let errors = |refit: &Refit| problem.output_errors(&refit.spec, refit.zero_m, Part::All);
+        let (Some(without), Some(with)) = (errors(without), errors(with)) else { return Vec::new() };
+        let step = |((k, without), (_, with)): ((usize, OutputError), (usize, OutputError))| {
+            let window = &self.motion.windows[k];
+            StepErrors {
+                step: window.step,
+                frequency_hz: window.frequency_hz,
+                held_out: window.held_out,
+                reidentified: nrmse(&without),
+                after: nrmse(&with),
+            }
+        };
+        without.into_iter().zip(with).map(step).collect()
+    }
+
     fn reidentified(&self, refit: &Refit) -> Vec<Reidentified> {
         refit
             .numbers
@@ -280,7 +334,8 @@ impl Composer<'_> {
     }
 
     fn notes(&self, findings: &[Finding]) -> Vec<String> {
-        let mut notes = self.record.notes.clone();
+        let mut notes: Vec<String> =
+            self.tests.iter().flat_map(|(record, _)| record.notes.iter().cloned()).collect();
         notes.extend(findings.iter().map(|f| format!("{}: {}", f.name, f.text)));
         if let Some(found) = &self.motion.instruments {
             let [a, b] = found.accelerometers;

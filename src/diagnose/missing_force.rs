@@ -111,7 +111,11 @@ fn residual(problem: &Problem<'_>, refit: &Refit, part: Part) -> Option<Vec<Samp
     let motion = problem.motion;
     let modelled = problem.restoring(&refit.spec, refit.zero_m)?;
     let mass = if motion.kind == crate::record::Kind::Component { 1.0 } else { refit.spec.mass_kg };
-    let half_gap = refit.spec.bumper.as_ref().map_or(f64::INFINITY, |b| 0.5 * b.total_gap_m);
+    let half_gaps: Vec<f64> = motion
+        .sources
+        .iter()
+        .map(|source| source.setting.of(&refit.spec).bumper.map_or(f64::INFINITY, |b| 0.5 * b.total_gap_m))
+        .collect();
     let length = motion.displacement_m.len().max(1) as f64;
     let mut out = Vec::new();
     for (k, window) in motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w)) {
@@ -121,7 +125,7 @@ fn residual(problem: &Problem<'_>, refit: &Refit, part: Part) -> Option<Vec<Samp
                 d,
                 v: motion.velocity_m_s[n],
                 force: mass * (motion.restoring_m_s2[n] - modelled[k][i]),
-                contact: d.abs() > half_gap,
+                contact: d.abs() > half_gaps[window.source],
                 when: n as f64 / length,
             });
         }

@@ -5,13 +5,15 @@ pub mod adding;
 pub mod candidates;
 pub mod engine;
 pub mod instruments;
+pub mod live;
 pub mod missing_force;
 pub mod next_test;
 pub mod report;
 pub mod search;
+pub mod structure;
 pub mod trial;
 pub mod verdict;
 
-pub use engine::{Options, diagnose};
+pub use engine::{Options, diagnose, diagnose_together};
 pub use report::Diagnosis;
 pub use verdict::Verdict;

@@ -2,13 +2,15 @@
 //! rivals' simulated responses differ most against the noise.
 
 use crate::identify::refit::Refit;
+use crate::identify::together::Setting;
 use crate::model::{self, ModelSpec};
+use crate::sweep::SweepSpec;
 use crate::units::STANDARD_GRAVITY_M_S2;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
 /// A proposed test.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NextTest {
     /// What to do, in a line.
     pub title: String,
@@ -22,7 +24,7 @@ pub struct NextTest {
 }
 
 /// A sweep that the rig can do.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SweepProposal {
     /// First frequency, Hz.
     pub start_hz: f64,
@@ -38,6 +40,50 @@ pub struct SweepProposal {
     pub without_bumpers: bool,
     /// Another total gap, m.
     pub total_gap_m: Option<f64>,
+}
+
+impl NextTest {
+    /// Reads the test from the JSON that `diagnose --json` prints, or from its `next_test` alone.
+    ///
+    /// # Errors
+    /// No JSON, or no test in it; in words.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let mut value: serde_json::Value = serde_json::from_str(text).map_err(|error| error.to_string())?;
+        if let Some(test) = value.get_mut("next_test") {
+            value = test.take();
+        }
+        if value.is_null() {
+            return Err("the diagnosis proposes no test: its verdict needs none".into());
+        }
+        serde_json::from_value(value).map_err(|error| format!("no test in it: {error}"))
+    }
+}
+
+impl SweepProposal {
+    /// The sweep, everything that the proposal does not say as in `like`.
+    pub fn sweep(&self, like: &SweepSpec) -> SweepSpec {
+        SweepSpec {
+            start_hz: Some(self.start_hz),
+            stop_hz: Some(self.stop_hz),
+            step_hz: Some(self.step_hz),
+            steps_per_octave: None,
+            frequencies_hz: None,
+            dwell_hz: None,
+            cycles: self.cycles,
+            cycles_per_step: None,
+            acceleration_g: self.acceleration_g,
+            ..like.clone()
+        }
+    }
+
+    /// What has to be changed on a specimen.
+    pub fn setting(&self, model: &ModelSpec) -> Setting {
+        let wider_m = match (&model.bumper, self.total_gap_m) {
+            (Some(bumper), Some(gap_m)) => gap_m - bumper.total_gap_m,
+            _ => 0.0,
+        };
+        Setting { without_bumpers: self.without_bumpers, wider_m }
+    }
 }
 
 /// What the rig can do.
@@ -162,18 +208,7 @@ fn proposals(spec: &ModelSpec, reach: &Reach) -> Vec<SweepProposal> {
 
 /// RMS difference of A between two models over a proposed sweep, in units of the noise.
 fn separation(a: &ModelSpec, b: &ModelSpec, p: &SweepProposal, reach: &Reach) -> Option<f64> {
-    let changed = |spec: &ModelSpec| {
-        let mut spec = spec.clone();
-        if p.without_bumpers {
-            spec.bumper = None;
-            spec.effects.retain(|e| !model::effects::find(&e.name).is_ok_and(|f| f.needs_bumper()));
-        }
-        if let (Some(bumper), Some(gap)) = (&mut spec.bumper, p.total_gap_m) {
-            bumper.total_gap_m = gap;
-        }
-        spec
-    };
-    let (a, b) = (changed(a), changed(b));
+    let (a, b) = (p.setting(a).of(a), p.setting(b).of(b));
     let amplitude = p.acceleration_g * STANDARD_GRAVITY_M_S2;
     let (mut sum, mut count) = (0.0, 0usize);
     for i in 0..5 {
@@ -193,4 +228,39 @@ fn separation(a: &ModelSpec, b: &ModelSpec, p: &SweepProposal, reach: &Reach) ->
     }
     let rms = (sum / count.max(1) as f64).sqrt();
     rms.is_finite().then(|| rms / reach.noise_m_s2.max(1e-300))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_test_is_read_from_a_diagnosis_and_becomes_a_sweep() {
+        let proposal = SweepProposal {
+            start_hz: 0.6,
+            stop_hz: 3.0,
+            step_hz: 0.3,
+            cycles: 10,
+            acceleration_g: 0.03,
+            without_bumpers: false,
+            total_gap_m: Some(0.028),
+        };
+        let test = NextTest {
+            title: "sweep".into(),
+            reason: "they differ".into(),
+            expected_discrimination: 3.0,
+            sweep: Some(proposal.clone()),
+        };
+        let whole = serde_json::json!({ "verdict": "ambiguous", "next_test": test });
+        assert_eq!(NextTest::parse(&whole.to_string()), Ok(test.clone()));
+        assert_eq!(NextTest::parse(&whole["next_test"].to_string()), Ok(test));
+        assert!(NextTest::parse(r#"{"next_test": null}"#).is_err_and(|e| e.contains("proposes no test")));
+        assert!(NextTest::parse("[]").is_err());
+        let text = crate::config::builtin::find("sweeps", "andreaus-2020").expect("built in");
+        let like: SweepSpec = text.parse().expect("valid");
+        let sweep = proposal.sweep(&like);
+        assert_eq!((sweep.start_hz, sweep.acceleration_g), (Some(0.6), 0.03));
+        assert_eq!(sweep.direction, like.direction);
+        crate::config::Check::check(&sweep).expect("a sweep that may be run");
+    }
 }

@@ -58,6 +58,21 @@ pub struct Reidentified {
     pub high95: f64,
 }
 
+/// Error of one step, response simulated.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StepErrors {
+    /// Number of the step.
+    pub step: i32,
+    /// Its frequency, Hz.
+    pub frequency_hz: f64,
+    /// Whether it was kept back from the fits.
+    pub held_out: bool,
+    /// Re-identified without what was found.
+    pub reidentified: f64,
+    /// With it.
+    pub after: f64,
+}
+
 /// The whole answer. Errors are NRMSE of the held-out steps: RMS of the error over RMS of the
 /// measured signal, the mean square of A's and D's where both were measured.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -84,6 +99,8 @@ pub struct Diagnosis {
     pub missing_force: Option<MissingForce>,
     /// Error ladder.
     pub ladder: Vec<Rung>,
+    /// Errors step by step.
+    pub steps: Vec<StepErrors>,
     /// Re-identified numbers.
     pub reidentified: Vec<Reidentified>,
     /// Numbers that this record cannot tell.
@@ -97,15 +114,10 @@ pub struct Diagnosis {
 }
 
 impl Diagnosis {
-    /// The answer in words.
-    pub fn text(&self) -> String {
-        let mut out = String::new();
-        let mut line = |text: String| {
-            out.push_str(&text);
-            out.push('\n');
-        };
+    /// The verdict in one line.
+    pub fn sentence(&self) -> String {
         let names = self.effects.iter().map(|e| e.name.as_str()).collect::<Vec<_>>().join(", ");
-        line(match self.verdict {
+        match self.verdict {
             Verdict::Adequate => {
                 "Verdict: adequate - nothing is missing beyond noise and parameters".to_owned()
             }
@@ -116,7 +128,17 @@ impl Diagnosis {
             Verdict::OutsideCatalogue => {
                 "Verdict: outside the catalogue - no known effect explains it".to_owned()
             }
-        });
+        }
+    }
+
+    /// The answer in words.
+    pub fn text(&self) -> String {
+        let mut out = String::new();
+        let mut line = |text: String| {
+            out.push_str(&text);
+            out.push('\n');
+        };
+        line(self.sentence());
         line(format!(
             "Error on held-out steps: {:.3} % as given, {:.3} % re-identified, {:.3} % after; noise floor {:.3} %",
             100.0 * self.error_before,
@@ -180,7 +202,7 @@ impl Diagnosis {
 }
 
 /// A number with five significant digits, whatever its magnitude.
-struct Short(f64);
+pub struct Short(pub f64);
 
 impl std::fmt::Display for Short {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {

@@ -10,6 +10,7 @@ use crate::identify::refit::{Domain, Refit};
 use crate::model::effects::Effect;
 use crate::model::{EffectSpec, ModelSpec, Scales};
 use crate::parallel;
+use crate::record::Kind;
 
 /// Settings of a search.
 #[derive(Clone, Copy, Debug)]
@@ -99,6 +100,25 @@ impl<'a> Searcher<'a> {
     /// Re-fits the base model.
     pub fn base(&self, nominal: &ModelSpec) -> Option<Trial> {
         trial::base(&self.fitting, nominal, self.stride)
+    }
+
+    /// What every candidate adds to the fitted base model on the thinned training steps, best first: nats, coloured
+    /// residuals considered, less half the logarithm of the independent samples for each parameter (Schwarz 1978).
+    pub fn evidence(&self, nominal: &ModelSpec) -> Option<Vec<(&'static str, f64)>> {
+        let base = trial::base_by_force(&self.screening, nominal)?;
+        let scales = candidates::scales(&base.spec, self.motion);
+        let effects = candidates::physical(&base.spec, self.motion.kind);
+        let colour = base.inflation.max(1.0);
+        let independent = self.screening.weighted_count(Part::Training) as f64 / colour;
+        let nats = |refit: &Refit| {
+            let added = (refit.fit.values.len() - base.fit.values.len()) as f64;
+            let gained = 0.5 * (trial::objective(&base) - trial::objective(refit)) / colour;
+            gained - 0.5 * added * independent.max(1.0).ln()
+        };
+        let best = self.screen(&base, &effects, &scales);
+        let mut found: Vec<_> = best.iter().map(|(name, refit)| (*name, nats(refit))).collect();
+        found.sort_by(|a, b| b.1.total_cmp(&a.1));
+        Some(found)
     }
 
     /// Tries every candidate on top of a fitted model.
@@ -204,7 +224,9 @@ impl<'a> Searcher<'a> {
 
     /// Adds effects one at a time for as long as a good part of the excess is left and falls.
     pub fn search(&self, nominal: &ModelSpec, thresholds: Thresholds) -> Option<Search> {
-        let enough = 0.5 * thresholds.left;
+        // A component's force is compared along an imposed motion: nothing but its gain ends the search.
+        let component = self.motion.kind == Kind::Component;
+        let enough = if component { 0.0 } else { 0.5 * thresholds.left };
         let base = self.base(nominal)?;
         let mut search = Search { base, stages: Vec::new() };
         for depth in 0..self.effort.together {

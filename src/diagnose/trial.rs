@@ -19,7 +19,13 @@ pub struct Score {
     pub excess: f64,
     /// How many residuals count as one independent one, apart from their size.
     pub colour: f64,
+    /// Mean over stretches of the logarithm of their mean squares: a step in which a simulation left on another branch
+    /// counts as one, however far off it is.
+    pub log_mean: f64,
 }
+
+/// Stretches of [`Score::log_mean`].
+const STRETCHES: usize = 64;
 
 impl Score {
     /// Scores residuals; `carried` is the covariance of neighbours that is no structure.
@@ -33,6 +39,7 @@ impl Score {
             count,
             excess: (neighbours / count.max(1) as f64 - carried).max(0.0),
             colour: (inflation(residuals) / mean.max(1.0)).max(1.0),
+            log_mean: log_mean(residuals),
         }
     }
 
@@ -40,6 +47,19 @@ impl Score {
     pub fn mean(&self) -> f64 {
         self.chi2 / self.count.max(1) as f64
     }
+}
+
+fn log_mean(residuals: &[f64]) -> f64 {
+    let stretches = residuals.chunks(residuals.len().div_ceil(STRETCHES).max(1));
+    let (mut sum, mut count) = (0.0, 0usize);
+    for stretch in stretches {
+        let mean = stretch.iter().map(|r| r * r).sum::<f64>() / stretch.len() as f64;
+        if mean > 0.0 {
+            sum += mean.ln();
+            count += 1;
+        }
+    }
+    sum / count.max(1) as f64
 }
 
 /// A candidate with its fit.
@@ -82,12 +102,16 @@ impl Trial {
 
 /// Fits the base model's numbers alone.
 pub fn base(problem: &Problem<'_>, nominal: &ModelSpec, stride: usize) -> Option<Trial> {
+    finish(problem, &judge_by_force(problem, &[], base_by_force(problem, nominal)?)?, stride)
+}
+
+/// The same by the force along the measured motion alone.
+pub fn base_by_force(problem: &Problem<'_>, nominal: &ModelSpec) -> Option<Refit> {
     let mut numbers = Numbers::of_base(nominal);
     for index in 0..nominal.effects.len() {
         numbers.add_effect(nominal, index, &super::candidates::scales(nominal, problem.motion));
     }
-    let first = refit(problem, nominal, &numbers, 0.0, Domain::Force, Part::Training, Settings::default())?;
-    finish(problem, &judge_by_force(problem, &[], first)?, stride)
+    refit(problem, nominal, &numbers, 0.0, Domain::Force, Part::Training, Settings::default())
 }
 
 /// Adds an effect to a fitted base and fits everything in the force domain.

@@ -2,7 +2,8 @@
 
 use super::candidates::contained_in;
 use super::search::Search;
-use super::trial::Trial;
+use super::structure::Structure;
+use super::trial::{Score, Trial};
 use serde::Serialize;
 
 /// The answer.
@@ -84,8 +85,15 @@ pub fn gain(better: &Trial, worse: &Trial) -> f64 {
     0.5 * independent * (worse.force.mean().max(1e-300) / better.force.mean().max(1e-300)).ln()
 }
 
-/// Decides.
-pub fn decide(search: &Search, thresholds: Thresholds) -> Decision {
+/// Share of the excess that a flexible model has to see on held-out steps before it is called structure; and an excess,
+/// in units of the noise, that is structure whatever the flexible model sees.
+const STRUCTURED: f64 = 0.2;
+const UNMISTAKABLE: f64 = 0.5;
+/// Logarithm of the mean square over its logarithmic mean that says a simulation jumped: a factor of three.
+const JUMPS: f64 = 1.1;
+
+/// Decides; `structure` examines what a trial leaves.
+pub fn decide(search: &Search, structure: impl Fn(&Trial) -> Structure, thresholds: Thresholds) -> Decision {
     let base = &search.base;
     let mut taken = base.clone();
     let mut refused = Vec::new();
@@ -117,11 +125,17 @@ pub fn decide(search: &Search, thresholds: Thresholds) -> Decision {
         taken = chosen;
         ambiguous_with = rivals;
     }
-    let left = taken.share_left(base);
     let excess = taken.excess();
+    let (of_base, of_taken) = (structure(base).explained, structure(&taken).explained);
+    // Where the flexible model sees most of what the base lacks, what it still sees is what is left. Where it does not,
+    // the covariance of neighbouring residuals has to do.
+    let seen = of_base > 0.5 * base.force.excess;
+    let share = taken.share_left(base);
+    let left = if seen { share.min(of_taken / of_base.max(1e-300)) } else { share };
     let verdict = if taken.names.is_empty() {
         // Nothing in the catalogue helps; is anything left at all?
-        if excess > thresholds.excess { Verdict::OutsideCatalogue } else { Verdict::Adequate }
+        let structured = of_base > STRUCTURED * excess || excess > UNMISTAKABLE;
+        if excess > thresholds.excess && structured { Verdict::OutsideCatalogue } else { Verdict::Adequate }
     } else if left > thresholds.left && excess > thresholds.excess {
         Verdict::OutsideCatalogue
     } else if ambiguous_with.is_empty() {
@@ -155,13 +169,21 @@ fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(
     Some((chosen.clone(), rivals))
 }
 
-/// The error falls by something an engineer would call a fall, and so does that of the response.
+/// The error falls by something an engineer would call a fall, and so does that of the response: in its mean, or in most of
+/// the record where a step that jumps to another branch rules the mean.
 fn worth(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
     let response = match (&trial.output, &from.output) {
-        (Some(with), Some(without)) => with.mean() < without.mean(),
+        (Some(with), Some(without)) => {
+            with.mean() < without.mean() || with.log_mean < without.log_mean && jumps(without)
+        }
         _ => true,
     };
     response && from.force.mean() - trial.force.mean() > 0.2 * thresholds.excess
+}
+
+/// A few stretches rule the mean of the response's error.
+fn jumps(response: &Score) -> bool {
+    response.mean().ln() > response.log_mean + JUMPS
 }
 
 /// The interval of the leading parameter of the added effect excludes zero: by 3.5 standard
@@ -200,9 +222,10 @@ fn refuse(trial: &Trial, against: &Trial, base: &Trial, why: &str) -> Refused {
     Refused {
         name: last_name(trial),
         reason: format!(
-            "{why}: leaves {:.1} % of the excess on held-out steps ({:.1} % with what was kept)",
+            "{why}: leaves {:.1} % of the excess on held-out steps ({:.1} % with what was kept; {:.1} nats apart)",
             100.0 * trial.share_left(base),
-            100.0 * against.share_left(base)
+            100.0 * against.share_left(base),
+            gain(against, trial)
         ),
     }
 }

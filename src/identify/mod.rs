@@ -7,3 +7,4 @@ pub mod numbers;
 pub mod problem;
 pub mod refit;
 pub mod spectral;
+pub mod together;

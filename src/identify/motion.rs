@@ -8,6 +8,7 @@
 
 use super::kinematics::{self, Instruments, Tolerances};
 use super::spectral::{Spectrum, white_noise_rms};
+use super::together::Source;
 use crate::record::{Kind, Record};
 use realfft::num_complex::Complex64;
 use std::ops::Range;
@@ -25,6 +26,8 @@ pub struct Window {
     pub range: Range<usize>,
     /// Kept back from every fit; judges what was fitted.
     pub held_out: bool,
+    /// Number of the record that it comes from.
+    pub source: usize,
 }
 
 /// The motion of one record.
@@ -34,8 +37,8 @@ pub struct Motion {
     pub kind: Kind,
     /// Sampling rate, Hz.
     pub sample_rate_hz: f64,
-    /// Time of the first sample, s.
-    pub start_s: f64,
+    /// The records that it consists of, one unless several were put together.
+    pub sources: Vec<Source>,
     /// Displacement of the mass relative to its support, m.
     pub displacement_m: Vec<f64>,
     /// Its rate, m/s.
@@ -288,7 +291,10 @@ impl Fused {
         Motion {
             kind: record.kind,
             sample_rate_hz: record.sample_rate_hz,
-            start_s: record.time_s.first().copied().unwrap_or(0.0),
+            sources: vec![Source {
+                start_s: record.time_s.first().copied().unwrap_or(0.0),
+                ..Source::default()
+            }],
             displacement_m: self.displacement_m,
             velocity_m_s: self.velocity_m_s,
             restoring_m_s2: Vec::new(),
@@ -425,7 +431,7 @@ fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
     }
     let start = range.end - (counted * cycle).round() as usize;
     let warm_from = start.saturating_sub((3.0 * cycle).round() as usize).max(range.start);
-    Some(Window { step, frequency_hz, warm_from, range: start..range.end, held_out: false })
+    Some(Window { step, frequency_hz, warm_from, range: start..range.end, held_out: false, source: 0 })
 }
 
 /// Thirty equal parts inside a record without steps, each warmed up by the one before.
@@ -441,6 +447,7 @@ fn equal_parts(n: usize, motion: &Motion) -> Vec<Window> {
             warm_from: (i * length).saturating_sub(2 * length),
             range: i * length..(i + 1) * length,
             held_out: false,
+            source: 0,
         })
         .collect()
 }

@@ -52,6 +52,8 @@ pub struct Problem<'a> {
 
 /// Slow noise of a displacement sensor over the motion it measures: 10 um for the paper's rig.
 const DRIFT: f64 = 1e-3;
+/// Correlation of that drift from one cycle to the next.
+const DRIFT_MEMORY: f64 = 0.8;
 /// Cycles that a simulation runs free before it counts: the error of its start decays.
 const SETTLING_CYCLES: usize = 3;
 /// Cycles of a window that count in fits of the simulated response.
@@ -75,6 +77,17 @@ pub struct OutputError {
 }
 
 impl OutputError {
+    /// The sum of two.
+    fn with(self, other: &Self) -> Self {
+        Self {
+            sum_a: self.sum_a + other.sum_a,
+            power_a: self.power_a + other.power_a,
+            sum_d: self.sum_d + other.sum_d,
+            power_d: self.power_d + other.power_d,
+            count: self.count + other.count,
+        }
+    }
+
     /// Normalised RMS error of A.
     pub fn nrmse_a(&self) -> f64 {
         (self.sum_a / self.power_a.max(1e-300)).sqrt()
@@ -136,12 +149,17 @@ impl<'a> Problem<'a> {
     /// displacement shifted by `shift_m`; `None` when the model cannot be built.
     pub fn restoring(&self, spec: &ModelSpec, shift_m: f64) -> Option<Vec<Vec<f64>>> {
         let motion = self.motion;
-        let mut specimen = model::build(spec, motion.dt_s() * self.thin as f64).ok()?;
+        let mut specimens = self.specimens(spec, motion.dt_s() * self.thin as f64)?;
         let mut out = Vec::with_capacity(motion.windows.len());
-        let mut at = usize::MAX;
+        let mut at = (usize::MAX, 0);
         for window in &motion.windows {
+            let specimen = &mut *specimens[window.source];
             // Neighbouring windows continue where the last one ended; others are warmed up.
-            let from = if at == window.range.start { at } else { self.warm(&mut *specimen, window, shift_m) };
+            let from = if at == (window.range.start, window.source) {
+                window.range.start
+            } else {
+                self.warm(specimen, window, shift_m)
+            };
             let mut forces = Vec::with_capacity(window.range.len() / self.thin + 1);
             let mut n = from;
             while n < window.range.end {
@@ -149,10 +167,21 @@ impl<'a> Problem<'a> {
                 forces.push(-response.mass_acceleration_m_s2);
                 n += self.thin;
             }
-            at = n;
+            at = (n, window.source);
             out.push(forces);
         }
         Some(out)
+    }
+
+    /// The model as it stood at each record of the motion; `None` when it cannot be built.
+    fn specimens(&self, spec: &ModelSpec, dt_s: f64) -> Option<Vec<Box<dyn Specimen>>> {
+        let sources = &self.motion.sources;
+        sources.iter().map(|source| model::build(&source.setting.of(spec), dt_s).ok()).collect()
+    }
+
+    /// Time of a sample on the clock of its record, s.
+    fn time_s(&self, window: &Window, sample: usize) -> f64 {
+        self.motion.sources[window.source].time_s(sample, self.motion.dt_s())
     }
 
     /// Imposes the motion before a window; returns its first sample.
@@ -161,7 +190,7 @@ impl<'a> Problem<'a> {
         let steps = (window.range.start - window.warm_from) / self.thin;
         let first = window.range.start - steps * self.thin;
         specimen.reset();
-        specimen.set_time_s(motion.start_s + first as f64 * motion.dt_s());
+        specimen.set_time_s(self.time_s(window, first));
         for i in 0..steps {
             let n = first + i * self.thin;
             specimen.impose(motion.displacement_m[n] + shift_m, motion.velocity_m_s[n]);
@@ -185,20 +214,46 @@ impl<'a> Problem<'a> {
         true
     }
 
-    /// Takes the drift of the displacement sensor in one window out of its residuals: one number
-    /// within its prior, that follows from the slope of the force.
+    /// Takes the drift of the displacement sensor in one window out of its residuals: a line from cycle to cycle
+    /// within its prior (a first-order autoregression), which the residuals show through the slope of the force.
     fn take_out_drift(&self, k: usize, residuals: &mut [f64]) {
-        let steer = |i: usize| self.weights[k][i] * self.slopes[k][i];
-        let mut power = self.drift_m.max(1e-300).powi(-2);
-        let mut product = 0.0;
+        let window = &self.motion.windows[k];
+        let cycle = self.motion.sample_rate_hz / (window.frequency_hz.max(1e-9) * self.thin as f64);
+        let cycle = cycle.clamp(2.0, residuals.len().max(2) as f64);
+        let knots = (residuals.len() as f64 / cycle).ceil() as usize + 1;
+        let innovation = (1.0 - DRIFT_MEMORY * DRIFT_MEMORY) * self.drift_m.max(1e-300).powi(2);
+        let mut diagonal = vec![(1.0 + DRIFT_MEMORY * DRIFT_MEMORY) / innovation; knots];
+        let mut beside = vec![-DRIFT_MEMORY / innovation; knots];
+        let mut right = vec![0.0; knots];
+        diagonal[0] = 1.0 / innovation;
+        diagonal[knots - 1] = 1.0 / innovation;
+        // Each residual is steered by the knots on its left and right.
+        let steer = |i: usize| {
+            let (whole, rest) = ((i as f64 / cycle) as usize, (i as f64 / cycle).fract());
+            let s = self.weights[k][i] * self.slopes[k][i];
+            (whole.min(knots - 2), s * (1.0 - rest), s * rest)
+        };
         for (i, r) in residuals.iter().enumerate() {
-            let s = steer(i);
-            power += s * s;
-            product += s * r;
+            let (j, a, b) = steer(i);
+            diagonal[j] += a * a;
+            diagonal[j + 1] += b * b;
+            beside[j] += a * b;
+            right[j] += a * r;
+            right[j + 1] += b * r;
         }
-        let drift = product / power;
+        // The matrix is symmetric, tridiagonal and positive definite: elimination without pivots.
+        for j in 1..knots {
+            let factor = beside[j - 1] / diagonal[j - 1];
+            diagonal[j] -= factor * beside[j - 1];
+            right[j] -= factor * right[j - 1];
+        }
+        right[knots - 1] /= diagonal[knots - 1];
+        for j in (0..knots - 1).rev() {
+            right[j] = (right[j] - beside[j] * right[j + 1]) / diagonal[j];
+        }
         for (i, r) in residuals.iter_mut().enumerate() {
-            *r -= drift * steer(i);
+            let (j, a, b) = steer(i);
+            *r -= a * right[j] + b * right[j + 1];
         }
     }
 
@@ -219,6 +274,11 @@ impl<'a> Problem<'a> {
     /// Noise of the displacement that the force answers to, m rms.
     fn shift_m(&self) -> f64 {
         self.motion.displacement_noise_m.max(1e-3 * self.motion.laser_noise_m)
+    }
+
+    /// Weight of a thinned sample of a window: one over its noise, 1/(m/s2); zero where it does not count.
+    pub fn weight(&self, window: usize, sample: usize) -> f64 {
+        self.weights[window][sample]
     }
 
     /// Number of samples of a part that carry weight.
@@ -242,7 +302,7 @@ impl<'a> Problem<'a> {
         let free_from =
             window.range.start.saturating_sub(cycle).max(window.warm_from + 1).min(window.range.start);
         specimen.reset();
-        specimen.set_time_s(motion.start_s + window.warm_from as f64 * motion.dt_s());
+        specimen.set_time_s(self.time_s(window, window.warm_from));
         for n in window.warm_from..free_from {
             specimen.impose(motion.displacement_m[n] + shift_m, motion.velocity_m_s[n]);
         }
@@ -274,7 +334,7 @@ impl<'a> Problem<'a> {
         if motion.kind == Kind::Component {
             return self.force_residuals(spec, shift_m, part, out);
         }
-        let Ok(mut specimen) = model::build(spec, motion.dt_s()) else { return false };
+        let Some(mut specimens) = self.specimens(spec, motion.dt_s()) else { return false };
         let (sa, sd) = (motion.restoring_noise_m_s2.max(1e-300), motion.laser_noise_m.max(1e-300));
         let mut laser = Vec::new();
         let full = motion.windows.iter().filter(|w| part.takes(w) && part != Part::Brief);
@@ -282,7 +342,7 @@ impl<'a> Problem<'a> {
         for window in full.chain(brief) {
             let begin = out.len();
             laser.clear();
-            self.simulate(&mut *specimen, window, shift_m, |n, a, d| {
+            self.simulate(&mut *specimens[window.source], window, shift_m, |n, a, d| {
                 if (n - window.range.start) % stride == 0 {
                     out.push((-motion.restoring_m_s2[n] - a) / sa);
                     if !motion.laser_m.is_empty() {
@@ -310,24 +370,39 @@ impl<'a> Problem<'a> {
     /// Errors of the simulated response over the windows of a part; `None` when the model cannot
     /// be built or leaves the finite numbers. For a component record A is the force.
     pub fn output_error(&self, spec: &ModelSpec, shift_m: f64, part: Part) -> Option<OutputError> {
+        let errors = self.output_errors(spec, shift_m, part)?;
+        Some(errors.into_iter().fold(OutputError::default(), |sum, (_, error)| sum.with(&error)))
+    }
+
+    /// The same window by window, each with its number.
+    pub fn output_errors(
+        &self,
+        spec: &ModelSpec,
+        shift_m: f64,
+        part: Part,
+    ) -> Option<Vec<(usize, OutputError)>> {
         let motion = self.motion;
-        let mut error = OutputError::default();
+        let windows = motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w));
         if motion.kind == Kind::Component {
             let modelled = self.restoring(spec, shift_m)?;
-            for (k, window) in motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w)) {
+            let force = |(k, window): (usize, &Window)| {
+                let mut error = OutputError::default();
                 for (i, n) in self.samples(window).enumerate() {
                     error.sum_a += (motion.restoring_m_s2[n] - modelled[k][i]).powi(2);
                     error.power_a += motion.restoring_m_s2[n].powi(2);
                     error.count += 1;
                 }
-            }
-            return Some(error);
+                (k, error)
+            };
+            return Some(windows.map(force).collect());
         }
-        let mut specimen = model::build(spec, motion.dt_s()).ok()?;
-        for window in motion.windows.iter().filter(|w| part.takes(w)) {
+        let mut specimens = self.specimens(spec, motion.dt_s())?;
+        let mut out = Vec::new();
+        for (k, window) in windows {
+            let mut error = OutputError::default();
             let laser = motion.laser_m.get(window.range.clone()).unwrap_or(&[]);
             let mean = laser.iter().sum::<f64>() / laser.len().max(1) as f64;
-            self.simulate(&mut *specimen, window, shift_m, |n, a, d| {
+            self.simulate(&mut *specimens[window.source], window, shift_m, |n, a, d| {
                 error.sum_a += (-motion.restoring_m_s2[n] - a).powi(2);
                 error.power_a += motion.restoring_m_s2[n].powi(2);
                 if let Some(measured) = motion.laser_m.get(n) {
@@ -336,8 +411,12 @@ impl<'a> Problem<'a> {
                 }
                 error.count += 1;
             });
+            if !(error.sum_a.is_finite() && error.sum_d.is_finite()) {
+                return None;
+            }
+            out.push((k, error));
         }
-        (error.sum_a.is_finite() && error.sum_d.is_finite()).then_some(error)
+        Some(out)
     }
 }
 

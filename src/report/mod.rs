@@ -7,6 +7,7 @@
 
 mod chart;
 pub mod comparison;
+pub mod diagnosis;
 mod heat;
 mod heatmap;
 pub mod of_run;

@@ -114,7 +114,8 @@ export class Bench {
         h("div", { class: "row" }, h("span", {}, r.step === null ? "on the way to the first step" : `step ${r.step + 1} of ${r.steps}: ${fixed(r.frequency_hz, 2)} Hz ${r.direction}`),
           h("span", { class: "spring-right quiet" }, `${duration(r.eta_s)} left`)),
         h("progress", { value: r.progress, max: 1, "aria-label": "Progress of the sweep" }),
-        h("div", { class: "quiet" }, `model error A ${percent(r.nrmse_a)}, D ${percent(r.nrmse_d)} · lost ${r.lost_samples} · slips ${r.slips}`));
+        h("div", { class: "quiet" }, `model error A ${percent(r.nrmse_a)}, D ${percent(r.nrmse_d)} · lost ${r.lost_samples} · slips ${r.slips}`),
+        r.evidence && h("div", { class: "quiet", "data-evidence": "" }, `missing so far (${r.evidence.steps} steps): ${r.evidence.candidates.slice(0, 3).map((c) => `${c.name} ${c.evidence_nats.toFixed(0)} nats`).join(", ") || "nothing"}`));
     } else if (s.ended) {
       const e = s.ended;
       fill(this.progress, h("div", {}, `Last run ${e.id}: ${e.outcome}`),

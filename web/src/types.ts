@@ -22,6 +22,7 @@ export interface Running {
   direction: string | null; progress: number; eta_s: number; elapsed_s: number; nrmse_a: number;
   nrmse_d: number; slips: number; lost_samples: number; finished: number; real_time: string | null;
   ring_fill: number;
+  evidence: { steps: number; candidates: { name: string; evidence_nats: number }[] } | null;
 }
 
 export interface Percentiles { p50_us: number; p99_us: number; p999_us: number; max_us: number; mean_us: number }

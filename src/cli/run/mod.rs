@@ -4,12 +4,15 @@ pub(crate) mod hardware;
 mod interrupt;
 mod show;
 
+use super::reading::read_model;
 use super::{CliError, Outcome};
 use crate::config::builtin::find;
 use crate::config::{Case, ConfigError};
 use crate::control::session::{self, Finished, Pace, Plan, Session};
 use crate::control::setup::{Setup, SetupError, model_of_case};
 use crate::control::{Ending, Nrmse, StepSummary, TimingReport};
+use crate::diagnose::next_test::{NextTest, SweepProposal};
+use crate::identify::together::Setting;
 use crate::model::ModelSpec;
 use crate::record::RunFolder;
 use crate::record::recorder::Notice;
@@ -19,6 +22,7 @@ use crate::rig::RigSpec;
 use crate::rig::hardware::HardwareMonitor;
 use crate::sweep::SweepSpec;
 use interrupt::Interrupts;
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 /// Drive a sweep on the table and record it.
@@ -42,6 +46,10 @@ pub struct Args {
     /// What really stands on the simulated table, by name or file; without it the onboard model.
     #[arg(long)]
     specimen: Option<String>,
+    /// Do the test that a diagnosis proposed: a file with what `diagnose --json` printed. Takes the place of --sweep and
+    /// --ag, and changes gap or bumpers of the model (and of what stands on the simulated table) as proposed.
+    #[arg(long, value_name = "FILE.json", conflicts_with_all = ["sweep", "ag", "steps"])]
+    next_test: Option<PathBuf>,
     /// Only the steps within this range of frequencies in Hz, as in 2.0..3.0.
     #[arg(long, value_parser = parse_range)]
     steps: Option<(f64, f64)>,
@@ -129,7 +137,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     };
     let started = std::time::Instant::now();
     let mut progress = show::Progress::new(&setup.schedule().map_err(refused)?, setup.rig.sample_rate_hz);
-    let finished = drive_listening(&setup, &args.out, pace, &mut |notice| progress.notice(notice))?;
+    let finished = drive_listening(&setup, &args.out, pace, &mut progress)?;
     progress.finish();
     let table = write_report(&finished.folder, &finished.steps);
     let wall_s = started.elapsed().as_secs_f64();
@@ -167,13 +175,18 @@ fn drive_listening(
     setup: &Setup,
     out: &Path,
     pace: Pace,
-    show: &mut dyn FnMut(&Notice),
+    progress: &mut show::Progress,
 ) -> Result<Finished, CliError> {
+    // In virtual time the run is over before a question is answered.
+    let follows = matches!(pace, Pace::Wall { .. });
     let (plan, links) = connect(setup, out, pace)?;
     let interrupts = Interrupts::listen().map_err(CliError::failed)?;
     let session = session::start(plan).map_err(CliError::failed)?;
     interrupts.stop(session.operator()).map_err(CliError::failed)?;
-    finish(session, links, show)
+    if follows {
+        progress.follow(session.folder().path());
+    }
+    finish(session, links, &mut |notice| progress.notice(notice))
 }
 
 /// Waits for the end of a run, and looks at the links of real devices.
@@ -222,15 +235,24 @@ fn setup(args: &Args) -> Result<Setup, CliError> {
     if let Some((low, high)) = args.steps {
         sweep = sweep.restricted(low, high).map_err(CliError::usage)?;
     }
-    let model = match &args.model {
+    let mut model = match &args.model {
         Some(name) => read_model(name)?,
         None => model_of_case(&case),
     };
-    let specimen = match args.specimen.as_ref().or(rig.specimen.as_ref()) {
+    let mut specimen = match args.specimen.as_ref().or(rig.specimen.as_ref()) {
         Some(name) => read_model(name)?,
         None => model.clone(),
     };
-    let named_case = args.model.is_none().then_some(case);
+    let named_case = (args.model.is_none() && args.next_test.is_none()).then_some(case);
+    if let Some(path) = &args.next_test {
+        let proposal = next_test(path)?;
+        sweep = proposal.sweep(&sweep);
+        let setting = proposal.setting(&model);
+        (model, specimen) = (setting.of(&model), setting.of(&specimen));
+        if rig.hardware.is_some() {
+            by_hand(&setting, &model)?;
+        }
+    }
     let name = args.name.clone().unwrap_or_else(|| match &named_case {
         Some(case) => case.to_string(),
         None => model.name.clone(),
@@ -238,9 +260,34 @@ fn setup(args: &Args) -> Result<Setup, CliError> {
     Ok(Setup { rig, sweep, model, specimen, case: named_case, seed: args.seed, name })
 }
 
-/// Reads a model by name or path.
-pub(super) fn read_model(name: &str) -> Result<ModelSpec, CliError> {
-    find("models", name).and_then(|source| source.parse()).map_err(|error| CliError::Usage(error.into()))
+/// The test that a diagnosis proposed.
+fn next_test(path: &Path) -> Result<SweepProposal, CliError> {
+    let refused = |reason: String| CliError::usage(format!("{}: {reason}", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|error| refused(error.to_string()))?;
+    let test = NextTest::parse(&text).map_err(refused)?;
+    eprintln!("next test: {} - {}", test.title, test.reason);
+    test.sweep.ok_or_else(|| refused(format!("this test is done by hand: {}", test.title)))
+}
+
+/// Has the operator change gap or bumpers of a real specimen.
+fn by_hand(setting: &Setting, model: &ModelSpec) -> Result<(), CliError> {
+    if *setting == Setting::default() {
+        return Ok(());
+    }
+    let what = match &model.bumper {
+        Some(bumper) => format!("set the total gap to {:.2} mm", 1e3 * bumper.total_gap_m),
+        None => "take the bumpers off".to_owned(),
+    };
+    if !std::io::stdin().is_terminal() {
+        return Err(CliError::usage(format!("an operator at a terminal has to {what} first")));
+    }
+    eprint!("Before the table moves: {what}. Done? [Enter: go, anything else: leave it] ");
+    let mut line = String::new();
+    std::io::stdin().read_line(&mut line).map_err(CliError::failed)?;
+    if line.trim().is_empty() && line.ends_with('\n') {
+        return Ok(());
+    }
+    Err(CliError::failed("the specimen was not changed"))
 }
 
 /// Writes the report of a run; a report that fails is told and does not undo the run.

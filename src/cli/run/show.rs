@@ -4,10 +4,12 @@ use crate::cli::{CliError, Outcome};
 use crate::control::Event;
 use crate::control::session::Finished;
 use crate::control::setup::Setup;
+use crate::diagnose::live::Follower;
 use crate::record::recorder::Notice;
 use crate::report::Table;
 use crate::sweep::{Preview, Schedule, Step};
 use indicatif::{ProgressBar, ProgressStyle};
+use std::path::{Path, PathBuf};
 
 /// Shows what the sweep asks of the table; a sweep beyond it is refused.
 pub(super) fn preview(preview: &Preview, json: bool) -> Result<Outcome, CliError> {
@@ -32,6 +34,8 @@ pub(super) struct Progress {
     sample_rate_hz: f64,
     error: String,
     first: Option<u64>,
+    finished: usize,
+    evidence: Option<(Follower, PathBuf)>,
 }
 
 impl Progress {
@@ -41,7 +45,13 @@ impl Progress {
         let style = ProgressStyle::with_template("{bar:30} {percent:>3} %  {msg}  ETA {eta}")
             .unwrap_or_else(|_| ProgressStyle::default_bar());
         bar.set_style(style);
-        Self { bar, steps: schedule.steps().to_vec(), sample_rate_hz, error: String::new(), first: None }
+        let steps = schedule.steps().to_vec();
+        Self { bar, steps, sample_rate_hz, error: String::new(), first: None, finished: 0, evidence: None }
+    }
+
+    /// Asks after each step what the run in this folder says of missing effects.
+    pub(super) fn follow(&mut self, folder: &Path) {
+        self.evidence = Some((Follower::default(), folder.to_owned()));
     }
 
     pub(super) fn notice(&mut self, notice: &Notice) {
@@ -50,6 +60,12 @@ impl Progress {
             Notice::Event(Event::Live { error, .. }) => {
                 self.error =
                     format!("model error A {:.1} %, D {:.1} %", 100.0 * error.nrmse_a, 100.0 * error.nrmse_d);
+            }
+            Notice::Event(Event::Step(_)) => {
+                self.finished += 1;
+                if let Some((follower, folder)) = &self.evidence {
+                    follower.step_finished(folder.clone(), self.finished);
+                }
             }
             Notice::Event(Event::RigFault { fault, .. }) => self.bar.println(format!("rig: {fault}")),
             Notice::Event(_) => {}
@@ -63,8 +79,10 @@ impl Progress {
         let time_s = position as f64 / self.sample_rate_hz;
         let at = self.steps.partition_point(|step| step.start_s <= time_s).saturating_sub(1);
         if let Some(step) = self.steps.get(at) {
+            let evidence = self.evidence.as_ref().and_then(|(follower, _)| follower.latest());
+            let evidence = evidence.map_or_else(String::new, |found| format!("  {}", found.line()));
             self.bar.set_message(format!(
-                "step {}/{} {:.2} Hz {}  {}",
+                "step {}/{} {:.2} Hz {}  {}{evidence}",
                 at + 1,
                 self.steps.len(),
                 step.frequency_hz,

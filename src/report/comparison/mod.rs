@@ -18,15 +18,15 @@ const CURVE_STEPS: usize = 3;
 
 /// A unit with its decimal prefix.
 #[derive(Clone, Debug, PartialEq)]
-struct Unit {
+pub(super) struct Unit {
     /// From SI to this unit.
-    scale: f64,
-    name: String,
+    pub(super) scale: f64,
+    pub(super) name: String,
 }
 
 impl Unit {
     /// Prefix that suits the largest of `factor` times the values.
-    fn of(values: &[f64], factor: f64, name: &str) -> Self {
+    pub(super) fn of(values: &[f64], factor: f64, name: &str) -> Self {
         Self::up_to(
             factor * values.iter().filter(|x| x.is_finite()).fold(0.0, |top: f64, x| top.max(x.abs())),
             name,
