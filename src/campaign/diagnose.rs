@@ -5,9 +5,12 @@
 //! `campaign diagnose` calls it. Every held-out figure comes from a fit that starts cold, from the campaign's
 //! own model, and has not seen the gap that it is judged on.
 
-use super::fit::{Cell, Correction, Effort, Fitted, Freedom, Problem, counted_rms};
+use super::fit::{Cell, Correction, Freedom, counted_rms};
+use super::ladder::{Depth, Rung, Study, paired};
+use super::odd::{Odd, odd_entries, without};
 use super::peaks::LogError;
 use super::spec::Configuration;
+use crate::diagnose::candidates::contained_in;
 use crate::model::effects::{self, Place};
 use crate::parallel;
 use serde::Serialize;
@@ -15,59 +18,6 @@ use serde::Serialize;
 /// Standard errors by which the held-out squares must fall for an addition to be accepted, and within which
 /// two of them cannot be told apart.
 const DECISIVE: f64 = 2.0;
-/// Share of its prior width that a number's interval must stay below to count as tested.
-const TESTED: f64 = 0.7;
-/// Robust standard deviations beyond which an entry fits no trend.
-const ODD: f64 = 4.0;
-
-/// How thoroughly to look.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Depth {
-    /// Of fits that are quoted.
-    pub full: Effort,
-    /// Of the first look at every candidate.
-    pub first: Effort,
-    /// Candidates that are judged on gaps left out.
-    pub finalists: usize,
-    /// Threads.
-    pub jobs: usize,
-}
-
-/// One rung of the ladder from the model as it stands.
-#[derive(Clone, Debug, Serialize)]
-pub struct Rung {
-    /// What was free: `re-identified`, `coulomb-friction + peak-floor`.
-    pub name: String,
-    /// Numbers moved.
-    pub numbers: usize,
-    /// RMS of the logarithmic errors over the cells fitted to.
-    pub rms: f64,
-    /// The same over every gap while it was left out; `null` where nothing is fitted.
-    pub held_out: Option<f64>,
-    /// Mean errors of A_max, E_max and nu_R, ln.
-    pub bias: [f64; 3],
-    /// Values with 95 % intervals.
-    pub parameters: Vec<Estimate>,
-    #[serde(skip)]
-    squares: Vec<f64>,
-}
-
-/// A number with its interval.
-#[derive(Clone, Debug, Serialize)]
-pub struct Estimate {
-    /// Name.
-    pub name: String,
-    /// Unit.
-    pub unit: String,
-    /// Best value.
-    pub value: f64,
-    /// 2.5 %.
-    pub low95: f64,
-    /// 97.5 %.
-    pub high95: f64,
-    /// The interval is far narrower than what was allowed; otherwise peaks say nothing about it.
-    pub tested: bool,
-}
 
 /// A candidate that was not taken.
 #[derive(Clone, Debug, Serialize)]
@@ -76,19 +26,6 @@ pub struct Refused {
     pub name: String,
     /// Why.
     pub reason: String,
-}
-
-/// An entry that fits no trend.
-#[derive(Clone, Debug, Serialize)]
-pub struct Odd {
-    /// `B3-G3-0.04`.
-    pub case: String,
-    /// `a_max`, `excursion` or `nu_r`.
-    pub quantity: &'static str,
-    /// ln(model / entry) of the robust fit over all bumpers.
-    pub log_error: f64,
-    /// The same in robust standard deviations.
-    pub deviations: f64,
 }
 
 /// What was found.
@@ -102,32 +39,43 @@ pub struct Diagnosis {
     pub corrections: Vec<String>,
     /// From the model as it stands to the best.
     pub ladder: Vec<Rung>,
+    /// Place of the best in the ladder.
+    pub best: usize,
     /// What was not taken, and why.
     pub refused: Vec<Refused>,
     /// Scatter of A_max and E_max among cases that repeat each other (standard deviations).
     pub scatter: Option<[f64; 2]>,
+    /// Entries that fit no smooth trend.
+    pub odd: Vec<Odd>,
+    /// The best over all bumpers, odd entries left out; `null` where no other bumpers are.
+    pub all_bumpers: Option<Rung>,
     /// What peaks cannot tell.
     pub cannot_tell: Vec<String>,
     /// What would settle the rest.
     pub next: Vec<&'static str>,
 }
 
-struct Study<'a> {
-    configuration: &'a Configuration,
-    cells: &'a [Cell],
-    scatter: [f64; 3],
-    depth: Depth,
+/// Peaks to diagnose.
+#[derive(Clone, Debug)]
+pub struct Given {
+    /// Cells of the bumpers that the search is made on.
+    pub cells: Vec<Cell>,
+    /// Cells of all bumpers.
+    pub all: Vec<Cell>,
+    /// Standard deviations that errors of A_max, E_max and nu_R are measured in (logarithms).
+    pub scatter: [f64; 3],
+    /// Standard deviations of A_max and E_max among cases that repeat each other, where there are any.
+    pub repeats: Option<[f64; 2]>,
 }
 
-/// Diagnoses cells (of some bumpers) against the campaign's model.
+/// Diagnoses a table of peaks against the campaign's model. `None` when that cannot be simulated.
 pub fn diagnose(
     configuration: &Configuration,
-    cells: &[Cell],
-    scatter: [f64; 3],
+    given: &Given,
     depth: Depth,
     tell: &(dyn Fn(&str) + Sync),
 ) -> Option<Diagnosis> {
-    let study = Study { configuration, cells, scatter, depth };
+    let study = Study { configuration, cells: &given.cells, scatter: given.scatter, depth };
     let fixed = Freedom { fixed: true, ..Freedom::default() };
     let common = Freedom { common_stiffness: true, ..Freedom::default() };
     let mut ladder = vec![study.rung(fixed)?];
@@ -135,43 +83,52 @@ pub fn diagnose(
         tell(&freedom.name());
         ladder.push(study.rung(freedom)?);
     }
-    let base = ladder.last()?.clone();
+    let mut best = ladder.len() - 1;
     let (finalists, mut refused) = study.first_look(tell)?;
-    let mut taken: Vec<Rung> = Vec::new();
-    for rung in study
-        .rungs(finalists.iter().map(|name| Freedom { effects: vec![name], ..Freedom::default() }).collect())
-    {
-        study.judge(rung, &base, &mut taken, &mut refused);
-    }
-    let equal = equals(&mut taken);
-    let best = taken.first().cloned();
-    ladder.extend(taken.iter().cloned());
-    let on_top: Vec<&'static str> =
-        best.iter().filter_map(|rung| effects::find(&rung.name).ok().map(|effect| effect.name)).collect();
+    tell(&format!("gaps left out: {}", finalists.join(", ")));
+    let with = |name: &&'static str| Freedom { effects: vec![*name], ..Freedom::default() };
+    let mut taken = study.judged(finalists.iter().map(with).collect(), &ladder[best], &mut refused);
+    simplest(&mut taken, &mut refused);
+    let equal = equals(&taken);
+    best = if taken.is_empty() { best } else { ladder.len() };
+    ladder.extend(taken);
     tell("corrections of the observation");
+    let on_top = ladder[best].freedom.effects.clone();
     let with =
         |correction| Freedom { effects: on_top.clone(), corrections: vec![correction], ..Freedom::default() };
-    let mut corrected: Vec<Rung> = Vec::new();
-    for rung in study.rungs(Correction::ALL.into_iter().map(with).collect()) {
-        study.judge(rung, best.as_ref().unwrap_or(&base), &mut corrected, &mut refused);
-    }
-    let corrections = equals(&mut corrected);
+    let corrected =
+        study.judged(Correction::ALL.into_iter().map(with).collect(), &ladder[best], &mut refused);
+    let corrections = equals(&corrected);
+    best = if corrected.is_empty() { best } else { ladder.len() };
     ladder.extend(corrected);
     let verdict = match (equal.len(), corrections.len()) {
         (0, 0) => "adequate",
         (0 | 1, 0 | 1) => "missing",
         _ => "ambiguous",
     };
-    let cannot_tell = study.cannot_tell(ladder.last()?);
+    let cannot_tell = cannot_tell(&ladder[best], given.repeats);
+    tell("entries that fit no trend");
+    let freedom = ladder[best].freedom.clone();
+    let odd = odd_entries(configuration, &given.all, freedom.clone(), depth.first).unwrap_or_default();
+    let mut all_bumpers = None;
+    if given.all.len() > given.cells.len() {
+        tell("all bumpers");
+        let cells = without(&given.all, &odd);
+        all_bumpers = Study { cells: &cells, ..study }.rung(freedom);
+    }
+    let (scatter, next) = (given.repeats, NEXT.to_vec());
     Some(Diagnosis {
         verdict,
         effects: equal,
         corrections,
         ladder,
+        best,
         refused,
-        scatter: None,
+        scatter,
+        odd,
+        all_bumpers,
         cannot_tell,
-        next: NEXT.to_vec(),
+        next,
     })
 }
 
@@ -184,65 +141,6 @@ const NEXT: [&str; 4] = [
 ];
 
 impl Study<'_> {
-    fn problem(&self, freedom: Freedom) -> Problem<'_> {
-        let mut problem = Problem::new(self.configuration, self.cells, freedom);
-        problem.scatter = self.scatter;
-        problem
-    }
-
-    /// Fits to all cells, and to all but one gap in turn.
-    fn rung(&self, freedom: Freedom) -> Option<Rung> {
-        self.rungs(vec![freedom]).pop()
-    }
-
-    fn rungs(&self, freedoms: Vec<Freedom>) -> Vec<Rung> {
-        let gaps: Vec<Option<usize>> = std::iter::once(None)
-            .chain((0..self.configuration.spec.gap.len()).map(Some))
-            .filter(|gap| gap.is_none() || self.cells.iter().any(|cell| cell.case.gap == *gap))
-            .collect();
-        let jobs: Vec<(usize, Option<usize>)> =
-            (0..freedoms.len()).flat_map(|f| gaps.iter().map(move |gap| (f, *gap))).collect();
-        let fits = parallel::map(&jobs, self.depth.jobs, |(f, left_out)| {
-            let problem = self.problem(freedoms[*f].clone());
-            let seen = |cell: &&Cell| left_out.is_none() || cell.case.gap != *left_out;
-            let cells: Vec<&Cell> = self.cells.iter().filter(seen).collect();
-            problem.fit(&cells, self.depth.full)
-        });
-        let of = |f: usize| {
-            let own: Vec<(Option<usize>, Option<&Fitted>)> = jobs
-                .iter()
-                .zip(&fits)
-                .filter(|((g, _), _)| *g == f)
-                .map(|((_, gap), fit)| (*gap, fit.as_ref()))
-                .collect();
-            self.assemble(freedoms[f].clone(), &own)
-        };
-        (0..freedoms.len()).filter_map(of).collect()
-    }
-
-    fn assemble(&self, freedom: Freedom, fits: &[(Option<usize>, Option<&Fitted>)]) -> Option<Rung> {
-        let problem = self.problem(freedom.clone());
-        let whole = fits.iter().find(|(gap, _)| gap.is_none())?.1?;
-        let all: Vec<&Cell> = self.cells.iter().collect();
-        let errors = problem.errors(&whole.x, &all)?;
-        let (mut held, mut held_cells) = (Vec::new(), Vec::new());
-        for (gap, fit) in fits.iter().filter(|(gap, _)| gap.is_some()) {
-            let test: Vec<&Cell> = self.cells.iter().filter(|cell| cell.case.gap == *gap).collect();
-            held.extend(problem.errors(&(*fit)?.x, &test)?);
-            held_cells.extend(test);
-        }
-        let moved = !problem.numbers.is_empty();
-        Some(Rung {
-            name: freedom.name(),
-            numbers: problem.numbers.len(),
-            rms: counted_rms(&errors, &all),
-            held_out: (moved && !held.is_empty()).then(|| counted_rms(&held, &held_cells)),
-            bias: bias(&errors),
-            parameters: estimates(&problem, whole),
-            squares: held.iter().flat_map(LogError::values).map(|e| e * e).collect(),
-        })
-    }
-
     /// Every effect of the catalogue once, from its starting value: those that peaks do not feel are refused,
     /// the others ranked by a short fit.
     fn first_look(&self, tell: &(dyn Fn(&str) + Sync)) -> Option<(Vec<&'static str>, Vec<Refused>)> {
@@ -300,106 +198,78 @@ impl Study<'_> {
         Some((ranked.into_iter().take(self.depth.finalists).map(|(_, name)| name).collect(), refused))
     }
 
-    /// Takes a rung when the squares of the gaps left out fall decisively.
-    fn judge(&self, rung: Rung, base: &Rung, taken: &mut Vec<Rung>, refused: &mut Vec<Refused>) {
-        let t = paired(&base.squares, &rung.squares);
-        if t >= DECISIVE {
-            taken.push(rung);
-            return;
+    /// Those rungs whose squares of the gaps left out fall decisively below those of a base, best first.
+    fn judged(&self, freedoms: Vec<Freedom>, base: &Rung, refused: &mut Vec<Refused>) -> Vec<Rung> {
+        let mut taken = Vec::new();
+        for rung in self.rungs(freedoms) {
+            let t = paired(&base.squares, &rung.squares);
+            if t >= DECISIVE {
+                taken.push(rung);
+                continue;
+            }
+            let (held, before) = (rung.held_out.unwrap_or(f64::NAN), base.held_out.unwrap_or(f64::NAN));
+            let reason = format!(
+                "left-out gaps: {:.1} % after {:.1} %, which is {t:.1} standard errors; {DECISIVE} are asked",
+                100.0 * held,
+                100.0 * before
+            );
+            refused.push(Refused { name: rung.name, reason });
         }
-        let (held, before) = (rung.held_out.unwrap_or(f64::NAN), base.held_out.unwrap_or(f64::NAN));
-        let reason = format!(
-            "left-out gaps: {:.1} % after {:.1} %, which is {t:.1} standard errors; {DECISIVE} are asked",
-            100.0 * held,
-            100.0 * before
-        );
-        refused.push(Refused { name: rung.name, reason });
-    }
-
-    fn cannot_tell(&self, best: &Rung) -> Vec<String> {
-        let mut list = vec![
-            "the mass: every column is kinematic, and mass, stiffnesses and dampings times one factor leave all peaks as they are"
-                .to_owned(),
-            "which side: gap asymmetry and constant force act on D_max and D_min, of which only the difference is there".to_owned(),
-            "delays of the instruments: peaks have no phase".to_owned(),
-        ];
-        for number in best.parameters.iter().filter(|number| !number.tested) {
-            list.push(format!(
-                "{}: its interval is as wide as what was allowed; the cells do not test it",
-                number.name
-            ));
-        }
-        list
+        let held = |rung: &Rung| rung.held_out.unwrap_or(f64::INFINITY);
+        taken.sort_by(|a, b| held(a).total_cmp(&held(b)));
+        taken
     }
 }
 
-/// Sorts by held-out error; names of those that cannot be told from the best.
-fn equals(taken: &mut [Rung]) -> Vec<String> {
-    taken.sort_by(|a, b| a.held_out.unwrap_or(f64::INFINITY).total_cmp(&b.held_out.unwrap_or(f64::INFINITY)));
+/// Refuses effects that contain a simpler one of the same place that does as well.
+fn simplest(taken: &mut Vec<Rung>, refused: &mut Vec<Refused>) {
+    let place = |name: &str| effects::find(name).ok().map(|effect| effect.place);
+    let simpler = |rung: &Rung, other: &Rung| {
+        contained_in(&rung.name).contains(&other.name.as_str())
+            && place(&rung.name) == place(&other.name)
+            && paired(&other.squares, &rung.squares) < DECISIVE
+    };
+    let all = taken.clone();
+    taken.retain(|rung| match all.iter().find(|other| simpler(rung, other)) {
+        None => true,
+        Some(other) => {
+            let reason = format!("contains {}, which does as well with less", other.name);
+            refused.push(Refused { name: rung.name.clone(), reason });
+            false
+        }
+    });
+}
+
+fn cannot_tell(best: &Rung, repeats: Option<[f64; 2]>) -> Vec<String> {
+    let mut list = Vec::new();
+    if let Some([a, e]) = repeats {
+        let [own_a, own_e, _] = best.rms_of.map(|rms| 100.0 * rms);
+        list.push(format!(
+            "anything finer than their own scatter: cases that repeat each other differ by {:.0} % in A and {:.0} % in E; the best fit is {own_a:.1} % and {own_e:.1} % off",
+            100.0 * a,
+            100.0 * e
+        ));
+    }
+    list.extend(ALWAYS.map(str::to_owned));
+    for number in best.parameters.iter().filter(|number| !number.tested) {
+        list.push(format!(
+            "{}: its interval is as wide as what was allowed; the cells do not test it",
+            number.name
+        ));
+    }
+    list
+}
+
+/// What no table of peaks can tell.
+const ALWAYS: [&str; 3] = [
+    "the mass: every column is kinematic, and mass, stiffnesses and dampings times one factor leave all peaks as they are",
+    "which side: gap asymmetry and constant force act on D_max and D_min, of which only the difference is there",
+    "delays of the instruments: peaks have no phase",
+];
+
+/// Names of those that cannot be told from the best, which comes first.
+fn equals(taken: &[Rung]) -> Vec<String> {
     let Some(best) = taken.first() else { return Vec::new() };
     let near = taken.iter().filter(|rung| paired(&rung.squares, &best.squares) < DECISIVE);
     near.map(|rung| rung.name.clone()).collect()
-}
-
-/// Fall of the mean square from `before` to `after`, in its standard errors over the same cells.
-fn paired(before: &[f64], after: &[f64]) -> f64 {
-    let n = before.len().min(after.len()) as f64;
-    if n < 2.0 {
-        return 0.0;
-    }
-    let falls: Vec<f64> = before.iter().zip(after).map(|(b, a)| b - a).collect();
-    let mean = falls.iter().sum::<f64>() / n;
-    let variance = falls.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (n - 1.0);
-    if variance > 0.0 { mean / (variance / n).sqrt() } else { 0.0 }
-}
-
-fn bias(errors: &[LogError]) -> [f64; 3] {
-    let n = errors.len().max(1) as f64;
-    std::array::from_fn(|k| errors.iter().map(|e| e.values()[k]).sum::<f64>() / n)
-}
-
-fn estimates(problem: &Problem<'_>, fit: &Fitted) -> Vec<Estimate> {
-    let one = |((number, x), sigma): ((&super::fit::Number, &f64), &f64)| Estimate {
-        name: number.name.replacen("base ", "", 1),
-        unit: number.unit.clone(),
-        value: number.value(*x),
-        low95: number.value(x - 1.96 * sigma),
-        high95: number.value(x + 1.96 * sigma),
-        tested: *sigma < TESTED * number.free.prior.1,
-    };
-    problem.numbers.iter().zip(&fit.x).zip(&fit.sigma).map(one).collect()
-}
-
-/// Entries that fit no smooth trend: a robust fit of the model to all cells, and what lies far beyond its own
-/// scatter.
-pub fn odd_entries(configuration: &Configuration, cells: &[Cell], effort: Effort) -> Option<Vec<Odd>> {
-    let mut problem = Problem::new(configuration, cells, Freedom::default());
-    problem.robust = true;
-    let all: Vec<&Cell> = cells.iter().collect();
-    let fit = problem.fit(&all, effort)?;
-    let errors = problem.errors(&fit.x, &all)?;
-    let mut odd = Vec::new();
-    for (k, quantity) in ["a_max", "excursion", "nu_r"].into_iter().enumerate() {
-        let values: Vec<f64> = errors.iter().map(|e| e.values()[k]).collect();
-        let centre = median(values.clone());
-        // 1.4826 times the median deviation is the standard deviation of a normal scatter.
-        let spread = 1.4826 * median(values.iter().map(|v| (v - centre).abs()).collect());
-        for (cell, value) in all.iter().zip(&values) {
-            let deviations = (value - centre) / spread.max(0.02);
-            if deviations.abs() > ODD {
-                odd.push(Odd { case: cell.case.label.clone(), quantity, log_error: *value, deviations });
-            }
-        }
-    }
-    odd.sort_by(|a, b| b.deviations.abs().total_cmp(&a.deviations.abs()));
-    Some(odd)
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    match values.len() {
-        0 => 0.0,
-        n if n % 2 == 1 => values[n / 2],
-        n => 0.5 * (values[n / 2 - 1] + values[n / 2]),
-    }
 }

@@ -239,8 +239,8 @@ pub fn trade_off(study: &Study, origin: Origin, problem: Problem) -> Figure {
     }
 }
 
-/// Errors of one origin against the published table, per cent of ln: a group each for A_max, E_max and nu_R.
-pub fn error_map(study: &Study, origin: Origin) -> HeatMap {
+/// Errors of one origin against another, per cent of ln: a group each for A_max, E_max and nu_R.
+pub fn error_map(study: &Study, origin: Origin, against: Origin) -> HeatMap {
     let configuration = &study.configuration;
     let levels = study.levels_g();
     let mut rows: Vec<String> = Vec::new();
@@ -250,7 +250,7 @@ pub fn error_map(study: &Study, origin: Origin) -> HeatMap {
         }
     }
     rows.sort();
-    let errors = study.errors(origin, Origin::Published);
+    let errors = study.errors(origin, against);
     let group = |name: &str, pick: fn(&super::peaks::LogError) -> f64| {
         let mut values = vec![vec![None; levels.len()]; rows.len()];
         for (case, error) in &errors {

@@ -1,109 +1,24 @@
 //! Fitting a model to the peaks of all cells at once: what may move, how a cell is predicted, where a fit
 //! ends. [`super::diagnose`] and [`super::optimise`] call it.
 //!
-//! Every number moves as a logarithm of its factor on the campaign's model, so that a fit always starts cold
-//! from that model and the scatter of the table (some per cent) is its natural unit. Mass stays where it is:
-//! peaks are kinematic and fix F/M alone.
+//! A fit looks at the steps about an observed peak alone, for as many cycles as they need to settle; what is
+//! quoted comes from the whole sweep.
 
 use super::ideal::{self, Settings};
+pub use super::numbers::Correction;
+use super::numbers::{self, Number};
 use super::peaks::{LogError, Peaks};
 use super::spec::{CaseKey, Configuration, mount};
 use crate::identify::least_squares::{self, Free};
-use crate::model::effects::{self, Effect, Parameter, Sign};
-use crate::model::{EffectSpec, ModelSpec, Scales};
+use crate::model::effects;
+use crate::model::{EffectSpec, ModelSpec};
 use crate::sweep::{Direction, Step};
-use rand::{Rng, SeedableRng};
-use serde::Serialize;
+use nalgebra::{DMatrix, DVector};
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
 
 /// Errors beyond so many standard deviations lose their pull in a robust fit.
 const ROBUST: f64 = 2.5;
-/// Standard deviation of the prior of a stiffness, knee or bumper number (logarithm of its factor).
-const LOOSE: f64 = 0.7;
-/// The same of the isolator's damping, which a dry loss may replace altogether.
-const DAMPING: f64 = 2.0;
-
-/// A correction of the peaks themselves: not of the specimen, but of how it was observed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Correction {
-    /// All accelerations times a gain.
-    AccelerationGain,
-    /// A constant on top of every acceleration peak (noise, cross-axis, rattle).
-    PeakFloor,
-    /// f_R is not what nu was divided by.
-    ReferenceFrequency,
-}
-
-impl Correction {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::AccelerationGain, Self::PeakFloor, Self::ReferenceFrequency];
-
-    /// Public name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::AccelerationGain => "acceleration-gain",
-            Self::PeakFloor => "peak-floor",
-            Self::ReferenceFrequency => "reference-frequency",
-        }
-    }
-
-    /// Name, unit, start, prior standard deviation, bounds of its parameter.
-    fn number(self, key: &str, reference_hz: f64) -> Number {
-        let free = |start: f64, scale: f64, sigma: f64, bounds: (f64, f64)| Free {
-            key: key.to_owned(),
-            start,
-            scale,
-            prior: (start, sigma),
-            bounds,
-        };
-        match self {
-            Self::AccelerationGain => {
-                Number::new("gain", "1", Kind::Factor(1.0), free(0.0, 1.0, 0.3, (-1.0, 1.0)))
-            }
-            Self::PeakFloor => {
-                Number::new("floor_m_s2", "m/s2", Kind::Value, free(0.0, 1.0, 0.5, (0.0, 3.0)))
-            }
-            Self::ReferenceFrequency => {
-                Number::new("f_r_hz", "Hz", Kind::Factor(reference_hz), free(0.0, 1.0, 0.2, (-1.0, 1.0)))
-            }
-        }
-    }
-}
-
-/// What the fit's number stands for.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Kind {
-    /// `nominal * exp(x)`.
-    Factor(f64),
-    /// x itself.
-    Value,
-}
-
-/// One free number with its public name and unit.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Number {
-    /// Name, `bumper B1 stiffness_n_m`.
-    pub name: String,
-    /// Unit.
-    pub unit: String,
-    kind: Kind,
-    /// The fit's view.
-    pub free: Free,
-}
-
-impl Number {
-    fn new(name: &str, unit: &str, kind: Kind, free: Free) -> Self {
-        Self { name: name.to_owned(), unit: unit.to_owned(), kind, free }
-    }
-
-    /// The number itself, SI.
-    pub fn value(&self, x: f64) -> f64 {
-        match self.kind {
-            Kind::Factor(nominal) => nominal * x.exp(),
-            Kind::Value => x,
-        }
-    }
-}
 
 /// One cell: a case and what was observed.
 #[derive(Clone, Debug)]
@@ -169,7 +84,7 @@ pub struct Fitted {
     /// Standard deviations of the same.
     pub sigma: Vec<f64>,
     /// Their covariance, numbers by numbers.
-    pub covariance: nalgebra::DMatrix<f64>,
+    pub covariance: DMatrix<f64>,
     /// RMS of the logarithmic errors over the cells it was fitted to.
     pub rms: f64,
     /// What was minimised.
@@ -200,28 +115,29 @@ pub fn cells(configuration: &Configuration, peaks: &[super::peaks::CasePeaks]) -
 impl<'a> Problem<'a> {
     /// The campaign's model with this freedom, for the bumpers of the cells.
     pub fn new(configuration: &'a Configuration, cells: &[Cell], freedom: Freedom) -> Self {
-        let mut numbers = Vec::new();
+        let mut free = Vec::new();
         if freedom.common_stiffness {
-            numbers.push(factor("factor on all stiffnesses", "1", 1.0, 2.0));
+            free.push(numbers::factor("factor on all stiffnesses", "1", 1.0, 2.0));
         } else if !freedom.fixed {
-            base_numbers(configuration, cells, &mut numbers);
+            numbers::base_numbers(configuration, cells, &mut free);
         }
-        let scales = scales(configuration, cells);
+        let scales = numbers::scales(configuration, cells);
         for name in &freedom.effects {
             let Ok(effect) = effects::find(name) else { continue };
-            numbers.extend(effect_parameters(effect, &scales).iter().map(|p| effect_number(name, p)));
+            let own = numbers::effect_parameters(effect, &scales);
+            free.extend(own.iter().map(|p| numbers::effect_number(name, p)));
         }
         let reference_hz = configuration.spec.reference_hz;
         for correction in &freedom.corrections {
             let mut number = correction.number(correction.name(), reference_hz);
             number.name = format!("{} {}", correction.name(), number.name);
-            numbers.push(number);
+            free.push(number);
         }
         Self {
             configuration,
             freedom,
-            numbers,
-            swift: Settings { sample_rate_hz: 100.0, tolerance: 1e-4, ..Settings::default() },
+            numbers: free,
+            swift: Settings { tolerance: 1e-4, cycles: 6, counted: 2.0 },
             precise: Settings::default(),
             scatter: [0.08; 3],
             robust: false,
@@ -279,7 +195,7 @@ impl<'a> Problem<'a> {
         self.corrected(x, self.peaks(&model, &cell.all, &self.precise)?)
     }
 
-    /// [`Problem::predict`] from coarser samples of the steps about the observed peak.
+    /// [`Problem::predict`] from short steps about the observed peak.
     fn glimpse(&self, x: &[f64], cell: &Cell) -> Option<Peaks> {
         let model = self.model(x, &cell.case);
         let reference_hz = self.configuration.spec.reference_hz;
@@ -337,106 +253,186 @@ impl<'a> Problem<'a> {
         true
     }
 
+    /// What a fit minimises, without the priors: squares in units of the scatter, as it sees them on its way.
+    pub fn cost(&self, x: &[f64], cells: &[&Cell]) -> f64 {
+        let mut r = Vec::new();
+        if self.residuals(x, cells, &mut r) { least_squares::sum_of_squares(&r) } else { f64::INFINITY }
+    }
+
     /// Where every fit starts: the campaign's model, effects at their starting values.
     pub fn start(&self) -> Vec<f64> {
         self.numbers.iter().map(|number| number.free.start).collect()
     }
 
-    /// Fits to cells, cold: first one factor on all stiffnesses, then damped Gauss-Newton on everything with
-    /// differences wide enough to see through the steps of the sweep, then a random search (Rechenberg 1973,
-    /// 1/5 rule) over what they hide.
+    /// Fits to cells, cold: a coarse look at the stiffnesses together, the isolator's damping and the strength of
+    /// the first effect; from the best of it damped Gauss-Newton on everything, with differences wide enough to
+    /// see through the steps of the sweep; then a random search over what they hide.
     pub fn fit(&self, cells: &[&Cell], effort: Effort) -> Option<Fitted> {
-        let mut start = self.start();
-        let stiff = |number: &Number| number.free.key.contains("stiffness");
-        if self.numbers.iter().any(stiff) {
-            let mut r = Vec::new();
-            let mut best = (f64::INFINITY, 0.0);
-            for factor in [-0.3, 0.0, 0.3, 0.6, 0.9] {
-                let x: Vec<f64> = self
-                    .numbers
-                    .iter()
-                    .zip(&start)
-                    .map(|(n, x)| if stiff(n) { factor } else { *x })
-                    .collect();
-                let cost = if self.residuals(&x, cells, &mut r) {
-                    least_squares::sum_of_squares(&r)
+        let best_look = |looks: Vec<Vec<f64>>| {
+            let looked = looks.into_iter().map(|x| (self.cost(&x, cells), x));
+            looked.min_by(|a, b| a.0.total_cmp(&b.0))
+        };
+        let mut looks: Vec<(f64, Vec<f64>)> = self.looks().into_iter().filter_map(best_look).collect();
+        looks.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let starts = looks.into_iter().take(effort.starts.max(1));
+        // What Gauss-Newton leaves says little about what is hidden there: each end is searched for a while.
+        let brief = Effort { trials: if effort.starts > 1 { effort.trials / 4 } else { 0 }, ..effort };
+        let ends =
+            starts.filter_map(|(_, x)| self.search_from(cells, self.descend(cells, x, effort)?, brief));
+        let best = ends.min_by(|a, b| a.1.total_cmp(&b.1))?;
+        self.finish(cells, best.0, effort)
+    }
+
+    /// Starts worth a look, in groups of which the best each is worth a descent: a dry loss takes the place of
+    /// viscous damping, so that effects are tried at several sizes and without one the damping is.
+    fn looks(&self) -> Vec<Vec<Vec<f64>>> {
+        let strength = self.numbers.iter().position(|n| n.free.key.starts_with("effect ") && n.is_factor());
+        let any = |part: &str| self.numbers.iter().any(|number| number.free.key.contains(part));
+        let stiff: &[f64] =
+            if any("stiffness") || any("common") { &[-0.3, 0.0, 0.3, 0.6, 0.9] } else { &[0.0] };
+        let damping: &[f64] = if any("isolator.damping") { &[-1.4, -0.7, 0.0] } else { &[0.0] };
+        let at = |k: f64, c: f64, size: f64| -> Vec<f64> {
+            let place = |(i, number): (usize, &Number)| {
+                let key = number.free.key.as_str();
+                let x = if number.is_stiffness() {
+                    k
+                } else if key.contains("isolator.damping") {
+                    c
+                } else if Some(i) == strength {
+                    size
                 } else {
-                    f64::INFINITY
+                    number.free.start
                 };
-                if cost < best.0 {
-                    best = (cost, factor);
-                }
-            }
-            for (number, x) in self.numbers.iter().zip(&mut start) {
-                *x = if stiff(number) { best.1 } else { *x };
-            }
+                x.clamp(number.free.bounds.0, number.free.bounds.1)
+            };
+            self.numbers.iter().enumerate().map(place).collect()
+        };
+        let sizes = |size: f64| damping.iter().flat_map(|c| stiff.iter().map(|k| at(*k, *c, size))).collect();
+        match strength {
+            Some(_) => [0.0, 1.0, 2.0].map(sizes).into(),
+            None => damping.iter().map(|c| stiff.iter().map(|k| at(*k, *c, 0.0)).collect()).collect(),
         }
-        self.fit_from(cells, start, effort)
+    }
+
+    fn free_from(&self, start: Vec<f64>) -> Vec<Free> {
+        let with_start = |(number, x): (&Number, f64)| Free { start: x, ..number.free.clone() };
+        self.numbers.iter().zip(start).map(with_start).collect()
+    }
+
+    fn settings(effort: Effort) -> least_squares::Settings {
+        least_squares::Settings {
+            iterations: effort.iterations,
+            tolerance: 1e-3,
+            difference: effort.difference,
+        }
+    }
+
+    /// Where Gauss-Newton comes to from a start, and what it leaves.
+    fn descend(&self, cells: &[&Cell], start: Vec<f64>, effort: Effort) -> Option<Vec<f64>> {
+        let free = self.free_from(start);
+        let mut residuals = |x: &[f64], r: &mut Vec<f64>| self.residuals(x, cells, r);
+        least_squares::fit(&free, Self::settings(effort), &mut residuals).map(|fit| fit.values)
+    }
+
+    /// The random search about a place: where it ends, and what is left there.
+    fn search_from(&self, cells: &[&Cell], start: Vec<f64>, effort: Effort) -> Option<(Vec<f64>, f64)> {
+        let covariance = self.covariance(cells, &start, effort)?;
+        let free = self.free_from(start.clone());
+        let mut residuals = |x: &[f64], r: &mut Vec<f64>| self.residuals(x, cells, r);
+        Some(search(&free, start, &covariance, effort.trials, &mut residuals))
+    }
+
+    /// Covariance of the numbers at a place.
+    fn covariance(&self, cells: &[&Cell], x: &[f64], effort: Effort) -> Option<DMatrix<f64>> {
+        let free = self.free_from(x.to_vec());
+        let mut residuals = |x: &[f64], r: &mut Vec<f64>| self.residuals(x, cells, r);
+        let still = least_squares::Settings { iterations: 0, ..Self::settings(effort) };
+        Some(least_squares::fit(&free, still, &mut residuals)?.covariance(&free, 1.0))
+    }
+
+    /// The random search from a place, and the spread of the numbers where it ends.
+    fn finish(&self, cells: &[&Cell], start: Vec<f64>, effort: Effort) -> Option<Fitted> {
+        let (x, cost) = self.search_from(cells, start, effort)?;
+        let covariance = self.covariance(cells, &x, effort)?;
+        let sigma = (0..x.len()).map(|i| covariance[(i, i)].max(0.0).sqrt()).collect();
+        let rms = self.rms(&x, cells)?;
+        Some(Fitted { x, sigma, covariance, rms, cost })
     }
 
     /// [`Problem::fit`] from a start of one's own.
     pub fn fit_from(&self, cells: &[&Cell], start: Vec<f64>, effort: Effort) -> Option<Fitted> {
-        let with_start = |(number, x): (&Number, f64)| Free { start: x, ..number.free.clone() };
-        let free: Vec<Free> = self.numbers.iter().zip(start).map(with_start).collect();
-        let mut residuals = |x: &[f64], r: &mut Vec<f64>| self.residuals(x, cells, r);
-        let settings = least_squares::Settings {
-            iterations: effort.iterations,
-            tolerance: 1e-3,
-            difference: effort.difference,
-        };
-        let fit = least_squares::fit(&free, settings, &mut residuals)?;
-        let covariance = fit.covariance(&free, 1.0);
-        let sigma = (0..free.len()).map(|i| covariance[(i, i)].max(0.0).sqrt()).collect();
-        let (x, cost) = self.search(&free, fit.values.clone(), effort.trials, &mut residuals);
-        let rms = self.rms(&x, cells)?;
-        Some(Fitted { x, sigma, covariance, rms, cost })
+        self.finish(cells, self.descend(cells, start, effort)?, effort)
     }
 
     /// RMS of the logarithmic errors that count.
     pub fn rms(&self, x: &[f64], cells: &[&Cell]) -> Option<f64> {
         Some(counted_rms(&self.errors(x, cells)?, cells))
     }
+}
 
-    fn search(
-        &self,
-        free: &[Free],
-        start: Vec<f64>,
-        trials: usize,
-        residuals: &mut impl FnMut(&[f64], &mut Vec<f64>) -> bool,
-    ) -> (Vec<f64>, f64) {
-        let mut r = Vec::new();
-        let mut cost = |x: &[f64]| -> f64 {
-            if !residuals(x, &mut r) {
-                return f64::INFINITY;
-            }
-            let prior = |(free, x): (&Free, &f64)| ((x - free.prior.0) / free.prior.1).powi(2);
-            least_squares::sum_of_squares(&r) + free.iter().zip(x).map(prior).sum::<f64>()
-        };
-        let mut random = rand_pcg::Pcg64::seed_from_u64(20_200_608);
-        let normal = |random: &mut rand_pcg::Pcg64| -> f64 {
-            (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0
-        };
-        let (mut best, mut reach) = (start, 0.05);
-        let mut least = cost(&best);
-        for _ in 0..trials {
-            let trial: Vec<f64> = free
-                .iter()
-                .zip(&best)
-                .map(|(free, x)| {
-                    (x + reach * free.scale * normal(&mut random)).clamp(free.bounds.0, free.bounds.1)
-                })
-                .collect();
-            let value = cost(&trial);
-            if value < least {
-                (best, least) = (trial, value);
-                reach *= 1.5;
-            } else {
-                reach *= 0.9;
-            }
-            reach = reach.clamp(2e-3, 0.3);
+/// Random trials about a start, at first as wide in every direction as the fit leaves it open, then as what
+/// succeeds teaches: they see what the steps of the sweep hide from slopes. The (1+1) strategy with adapted
+/// covariance of C. Igel, T. Suttorp and N. Hansen, GECCO 2006, 453.
+fn search(
+    free: &[Free],
+    start: Vec<f64>,
+    covariance: &DMatrix<f64>,
+    trials: usize,
+    residuals: &mut impl FnMut(&[f64], &mut Vec<f64>) -> bool,
+) -> (Vec<f64>, f64) {
+    let n = free.len();
+    let mut r = Vec::new();
+    let mut cost = |x: &[f64]| -> f64 {
+        if !residuals(x, &mut r) {
+            return f64::INFINITY;
         }
-        (best, least)
+        let prior = |(free, x): (&Free, &f64)| ((x - free.prior.0) / free.prior.1).powi(2);
+        least_squares::sum_of_squares(&r) + free.iter().zip(x).map(prior).sum::<f64>()
+    };
+    let mut best = start;
+    let mut least = cost(&best);
+    if n == 0 {
+        return (best, least);
     }
+    let size = n as f64;
+    let (wanted, memory, damping) = (2.0 / 11.0, 1.0 / 12.0, 1.0 + 0.5 * size);
+    let (path_rate, rate) = (2.0 / (size + 2.0), 2.0 / (size * size + 6.0));
+    let mut shape = covariance.clone();
+    let mut root = root_of(&shape);
+    let (mut success, mut reach, mut path) = (wanted, 0.5, DVector::zeros(n));
+    let mut random = rand_pcg::Pcg64::seed_from_u64(20_200_608);
+    for _ in 0..trials {
+        let step = &root * DVector::from_fn(n, |_, _| StandardNormal.sample(&mut random));
+        let moved =
+            |((free, x), step): ((&Free, &f64), &f64)| (x + reach * step).clamp(free.bounds.0, free.bounds.1);
+        let trial: Vec<f64> = free.iter().zip(&best).zip(step.iter()).map(moved).collect();
+        let value = cost(&trial);
+        let better = value < least;
+        success = (1.0 - memory) * success + if better { memory } else { 0.0 };
+        reach *= ((success - wanted) / (damping * (1.0 - wanted))).exp();
+        if !better {
+            continue;
+        }
+        (best, least) = (trial, value);
+        path *= 1.0 - path_rate;
+        let mut kept = 1.0 - rate;
+        if success < 0.44 {
+            path += f64::sqrt(path_rate * (2.0 - path_rate)) * step;
+        } else {
+            kept += rate * path_rate * (2.0 - path_rate);
+        }
+        shape = kept * shape + rate * &path * path.transpose();
+        root = root_of(&shape);
+    }
+    (best, least)
+}
+
+/// A root of a covariance; of its diagonal where rounding has made it none.
+fn root_of(covariance: &DMatrix<f64>) -> DMatrix<f64> {
+    covariance.clone().cholesky().map_or_else(
+        || DMatrix::from_diagonal(&covariance.diagonal().map(|v| v.max(0.0).sqrt())),
+        |cholesky| cholesky.l(),
+    )
 }
 
 /// RMS of the errors that count.
@@ -457,89 +453,13 @@ pub struct Effort {
     pub difference: f64,
     /// Random trials afterwards.
     pub trials: usize,
+    /// Starts of the coarse look that Gauss-Newton is tried from.
+    pub starts: usize,
 }
 
 impl Effort {
     /// For figures that are quoted.
-    pub const FULL: Self = Self { iterations: 12, difference: 0.04, trials: 150 };
+    pub const FULL: Self = Self { iterations: 10, difference: 0.08, trials: 600, starts: 3 };
     /// For telling candidates apart.
-    pub const QUICK: Self = Self { iterations: 4, difference: 0.04, trials: 30 };
-}
-
-fn factor(name: &str, unit: &str, nominal: f64, sigma: f64) -> Number {
-    let key = if name.starts_with("factor") { "common" } else { name };
-    let free = Free { key: key.to_owned(), start: 0.0, scale: 1.0, prior: (0.0, sigma), bounds: (-5.0, 5.0) };
-    Number::new(name, unit, Kind::Factor(nominal), free)
-}
-
-/// Isolator and every bumper that some cell has.
-fn base_numbers(configuration: &Configuration, cells: &[Cell], numbers: &mut Vec<Number>) {
-    let model = &configuration.model;
-    for key in model.parameter_keys() {
-        let Ok(nominal) = model.get(&key) else { continue };
-        if !key.starts_with("isolator.") || nominal == 0.0 {
-            continue;
-        }
-        let unit = if key.contains("stiffness") {
-            "N/m"
-        } else if key.contains("break") {
-            "m"
-        } else {
-            "N s/m"
-        };
-        let sigma = if key.contains("damping") { DAMPING } else { LOOSE };
-        numbers.push(factor(&format!("base {key}"), unit, nominal, sigma));
-    }
-    for (i, bumper) in configuration.spec.bumper.iter().enumerate() {
-        let (Some(k), Some(c)) = (bumper.stiffness_n_m, bumper.damping_n_s_m) else { continue };
-        if !cells.iter().any(|cell| cell.case.bumper == i) {
-            continue;
-        }
-        numbers.push(factor(&format!("bumper {} stiffness_n_m", bumper.name), "N/m", k, LOOSE));
-        if c > 0.0 {
-            numbers.push(factor(&format!("bumper {} damping_n_s_m", bumper.name), "N s/m", c, LOOSE));
-        }
-    }
-}
-
-/// Magnitudes of the campaign: of the first case with a bumper, or of the first.
-pub fn scales(configuration: &Configuration, cells: &[Cell]) -> Scales {
-    let case = cells.iter().find(|cell| cell.case.gap.is_some()).or(cells.first()).map(|cell| &cell.case);
-    let model = case.map_or_else(|| configuration.model.clone(), |case| configuration.model_of(case));
-    Scales::of_spec(&model, 1.0 / crate::units::SAMPLE_RATE_HZ)
-}
-
-/// The parameters of an effect that a fit moves: those that must be given.
-pub fn effect_parameters(effect: &Effect, scales: &Scales) -> Vec<Parameter> {
-    (effect.parameters)(scales).into_iter().filter(|parameter| parameter.default.is_none()).collect()
-}
-
-fn effect_number(effect: &str, parameter: &Parameter) -> Number {
-    let key = format!("effect {effect} {}", parameter.name);
-    let (low, high) = parameter.prior;
-    let positive = parameter.sign != Sign::Either && parameter.start > 0.0;
-    let (kind, free) = if positive {
-        let (l, h) = ((low.max(1e-4 * high) / parameter.start).ln(), (high / parameter.start).ln());
-        let most = (parameter.at_most / parameter.start).ln();
-        let free = Free {
-            key,
-            start: 0.0,
-            scale: 1.0,
-            prior: (0.5 * (l + h), (0.5 * (h - l)).max(0.3)),
-            bounds: (l - 2.0, (h + 2.0).min(most)),
-        };
-        (Kind::Factor(parameter.start), free)
-    } else {
-        let reach = high.abs().max(low.abs());
-        let start = if parameter.start == 0.0 { 0.2 * reach } else { parameter.start };
-        let free = Free {
-            key,
-            start,
-            scale: reach,
-            prior: (0.0, reach),
-            bounds: (-3.0 * reach, (3.0 * reach).min(parameter.at_most)),
-        };
-        (Kind::Value, free)
-    };
-    Number::new(&format!("{effect} {}", parameter.name), parameter.unit, kind, free)
+    pub const QUICK: Self = Self { iterations: 4, difference: 0.08, trials: 60, starts: 1 };
 }

@@ -1,16 +1,17 @@
 //! Peaks of a model on an ideal table, fast enough to be evaluated ten thousand times: identification on
 //! peaks, design maps and the trade-off call it.
 //!
-//! The sweep is propagated with coarse samples (the propagator is exact between them), the peaks between
-//! samples are taken from parabolas, and the paper's band-pass is applied where it is asked for.
+//! Nothing is evaluated but what may be a peak of the cycles that count.
 
 use super::peaks::{Peaks, Resonance, peaks_of};
-use crate::model::{ModelError, ModelSpec, Options, simulate_sweep};
-use crate::signal::{BandPass, FilterBank};
+use crate::model::effects;
+use crate::model::sweep::PEAK_CYCLES;
+use crate::model::{ModelError, ModelSpec, Options, StepPeaks, steady_peaks};
 use crate::sweep::{Direction, Schedule, Step, SweepSpec, Transition};
 
-/// Cycles at the end of a step from which its peaks are taken.
-const STEADY_CYCLES: f64 = crate::model::sweep::PEAK_CYCLES;
+/// Sampling rates at which peaks are looked at, Hz: in closed form, where only samples beside a turn are
+/// evaluated, and of the general solver, whose own steps decide.
+const RATES_HZ: [f64; 2] = [4096.0, 256.0];
 
 /// Steady state of one step: direction, frequency (Hz), A_max (m/s2), excursion (m).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,48 +29,17 @@ pub struct IdealStep {
 /// How the peaks of a model are computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Sampling rate, Hz.
-    pub sample_rate_hz: f64,
-    /// Apply the band-pass of the measuring chain (0.16-30 Hz).
-    pub band_pass: bool,
     /// Local error of the general solver.
     pub tolerance: f64,
+    /// Cycles of a step at most.
+    pub cycles: u32,
+    /// Cycles at the end of a step from which its peaks are taken.
+    pub counted: f64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { sample_rate_hz: 256.0, band_pass: false, tolerance: 1e-5 }
-    }
-}
-
-/// Largest and smallest value of a signal, between its samples too.
-#[derive(Clone, Copy, Debug)]
-struct Extremes {
-    before: f64,
-    last: f64,
-    seen: u8,
-    low: f64,
-    high: f64,
-}
-
-impl Extremes {
-    const NONE: Self = Self { before: 0.0, last: 0.0, seen: 0, low: f64::INFINITY, high: f64::NEG_INFINITY };
-
-    fn push(&mut self, value: f64) {
-        self.low = self.low.min(value);
-        self.high = self.high.max(value);
-        if self.seen >= 2 {
-            let turns = (self.last - self.before) * (value - self.last) < 0.0;
-            if turns {
-                // Vertex of the parabola through the last three samples.
-                let (slope, bend) = (0.5 * (value - self.before), value - 2.0 * self.last + self.before);
-                let vertex = self.last - 0.5 * slope * slope / bend;
-                self.low = self.low.min(vertex);
-                self.high = self.high.max(vertex);
-            }
-        }
-        self.seen = (self.seen + 1).min(2);
-        (self.before, self.last) = (self.last, value);
+        Self { tolerance: 1e-6, cycles: u32::MAX, counted: PEAK_CYCLES }
     }
 }
 
@@ -89,34 +59,20 @@ pub fn steady_states(
     steps: &[Step],
     settings: &Settings,
 ) -> Result<Vec<IdealStep>, ModelError> {
-    let dt_s = 1.0 / settings.sample_rate_hz;
-    let mut filter = FilterBank::<2>::new(BandPass::paper(settings.sample_rate_hz));
-    let mut extremes = vec![(Extremes::NONE, Extremes::NONE); steps.len()];
-    let mut ends = Vec::with_capacity(steps.len());
-    let mut end_s = 0.0;
-    for step in steps {
-        end_s += f64::from(step.cycles) / step.frequency_hz;
-        ends.push(end_s);
-    }
+    let closed = |name: &str| effects::find(name).is_ok_and(|effect| effect.piecewise_linear);
+    let rate_hz =
+        if model.effects.iter().all(|effect| closed(&effect.name)) { RATES_HZ[0] } else { RATES_HZ[1] };
+    let steps: Vec<Step> =
+        steps.iter().map(|step| Step { cycles: step.cycles.min(settings.cycles), ..*step }).collect();
     let options = Options { tolerance: settings.tolerance };
-    simulate_sweep(model, steps, dt_s, &options, &mut |sample, index, _, response| {
-        let (mut a, mut d) = (response.mass_acceleration_m_s2, response.relative_displacement_m);
-        if settings.band_pass {
-            [a, d] = filter.process(&[a, d]);
-        }
-        let time_s = sample as f64 * dt_s;
-        if time_s >= ends[index] - STEADY_CYCLES / steps[index].frequency_hz {
-            extremes[index].0.push(a);
-            extremes[index].1.push(d);
-        }
-    })?;
-    let state = |(step, (a, d)): (&Step, &(Extremes, Extremes))| IdealStep {
+    let peaks = steady_peaks(model, &steps, 1.0 / rate_hz, &options, settings.counted)?;
+    let state = |(step, peaks): (&Step, &StepPeaks)| IdealStep {
         direction: step.direction,
         frequency_hz: step.frequency_hz,
-        a_max_m_s2: a.high.max(-a.low).max(0.0),
-        excursion_m: (d.high - d.low).max(0.0),
+        a_max_m_s2: peaks.a_max_m_s2,
+        excursion_m: peaks.excursion_m().max(0.0),
     };
-    Ok(steps.iter().zip(&extremes).map(state).collect())
+    Ok(steps.iter().zip(&peaks).map(state).collect())
 }
 
 /// Peaks of one direction.
@@ -128,27 +84,37 @@ pub fn peaks(states: &[IdealStep], direction: Direction, resonance: Resonance) -
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::StepPeaks;
+    use crate::model::simulate_sweep;
+    use crate::model::testing::effect;
 
     #[test]
-    fn coarse_samples_give_the_peaks_of_fine_ones() {
-        for label in ["B0-0.05", "B1-G2-0.05", "B4-G1-0.05"] {
-            let model = crate::model::paper::of_case(&label.parse().expect("case"));
-            let steps = steps_of(&SweepSpec::paper(), 0.05, (0.8, 3.6));
-            let fine =
-                simulate_sweep(&model, &steps, 1.0 / 4096.0, &Options::default(), &mut |_, _, _, _| {});
-            let fine: Vec<StepPeaks> = fine.expect("simulates").peaks;
-            let coarse = steady_states(&model, &steps, &Settings::default()).expect("simulates");
-            for (fine, coarse) in fine.iter().zip(&coarse) {
-                // Between impacts of the stiffest bumper the motion after long dwells is chaotic at some
-                // low frequencies; the bulk of the steps must agree closely.
-                let apart = (coarse.a_max_m_s2 / fine.a_max_m_s2 - 1.0).abs();
-                assert!(apart < 0.02, "{label} {} Hz: {apart}", coarse.frequency_hz);
-                assert!(
-                    (coarse.excursion_m / fine.excursion_m() - 1.0).abs() < 0.005,
-                    "{label} {}",
-                    coarse.frequency_hz
-                );
+    fn peaks_alone_are_those_of_all_samples() {
+        // The first goes through closed form, the others through the general solver.
+        let added = [
+            None,
+            Some(effect("cubic-stiffness", &[("k3_n_m3", 1e6)])),
+            Some(effect("bouc-wen-hysteresis", &[("kh_n_m", 5e3), ("dy_m", 3e-3)])),
+            Some(effect("hertz-contact", &[("kh", 5e5), ("n", 1.3)])),
+        ];
+        for label in ["B0-0.05", "B1-G2-0.05", "B2-G1-0.05"] {
+            for added in &added {
+                let mut model = crate::model::paper::of_case(&label.parse().expect("case"));
+                if model.bumper.is_none() && added.as_ref().is_some_and(|e| e.name == "hertz-contact") {
+                    continue;
+                }
+                model.effects.extend(added.clone());
+                let steps = steps_of(&SweepSpec::paper(), 0.05, (0.8, 3.0));
+                let fine =
+                    simulate_sweep(&model, &steps, 1.0 / 4096.0, &Options::default(), &mut |_, _, _, _| {});
+                let fine: Vec<StepPeaks> = fine.expect("simulates").peaks;
+                let alone = steady_states(&model, &steps, &Settings::default()).expect("simulates");
+                for (fine, alone) in fine.iter().zip(&alone) {
+                    let case = format!("{label} {added:?} {} Hz", alone.frequency_hz);
+                    let apart = (alone.a_max_m_s2 / fine.a_max_m_s2 - 1.0).abs();
+                    assert!(apart < 2e-3, "{case}: A {apart}");
+                    let apart = (alone.excursion_m / fine.excursion_m() - 1.0).abs();
+                    assert!(apart < 1e-3, "{case}: E {apart}");
+                }
             }
         }
     }

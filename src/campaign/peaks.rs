@@ -238,6 +238,16 @@ fn repeats_of_free_flight(configuration: &Configuration, all: &[CasePeaks]) -> V
     groups.into_iter().map(|(_, group)| group).filter(|group| group.len() > 1).collect()
 }
 
+/// Standard deviations of A_max and E_max among cases that repeat free flight, where there are any.
+pub fn repeatability(configuration: &Configuration, all: &[CasePeaks]) -> Option<[f64; 2]> {
+    let twins = repeats_of_free_flight(configuration, all);
+    let of = |pick: fn(&Peaks) -> f64| {
+        pooled(&twins.iter().map(|g| g.iter().map(pick).collect()).collect::<Vec<_>>())
+    };
+    let (a, e) = (of(|p| p.a_max_m_s2), of(|p| p.excursion_m));
+    (a.1 > 0).then_some([a.0, e.0])
+}
+
 /// The published values as peaks; the table has one direction.
 pub fn published(configuration: &Configuration) -> Vec<CasePeaks> {
     let of = |case: &CaseKey| {
@@ -350,6 +360,8 @@ mod tests {
         assert_eq!(of("B2-G4-0.03").contact, Some(Contact::Grazing));
         assert_eq!(of("B2-G1-0.05").contact, Some(Contact::Full));
         // Standard deviations of 8 % and 4 % (README of the table, which also counts B4-G2).
+        let [a, e] = repeatability(&configuration, &all).expect("three cases repeat B0");
+        assert!((a - 0.08).abs() < 0.01 && (e - 0.04).abs() < 0.005, "{a} {e}");
         let confidence = of("B1-G1-0.03").confidence.expect("three cases repeat B0");
         assert!((0.15..0.35).contains(&confidence.a_max), "{confidence:?}");
         assert!((0.05..0.6).contains(&confidence.excursion), "{confidence:?}");

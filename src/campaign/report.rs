@@ -34,22 +34,28 @@ pub fn all_figures(study: &Study) -> Vec<Figure> {
     all
 }
 
-/// Heat maps with their names and captions.
+/// Heat maps with their names and captions: against the published table where there is one, and the onboard
+/// model against what was measured.
 pub fn all_maps(study: &Study) -> Vec<(String, HeatMap, String)> {
-    let against = study.published.iter().any(|peaks| peaks.forward.is_some());
-    let origins = [(Origin::Measured, "Measured in this campaign"), (Origin::Model, "Onboard model")];
-    let map = |(origin, what): (Origin, &str)| {
-        let errors: Vec<LogError> =
-            study.errors(origin, Origin::Published).into_iter().map(|(_, e)| e).collect();
+    let pairs = [
+        (Origin::Measured, Origin::Published, "Measured in this campaign against the published table"),
+        (Origin::Model, Origin::Published, "Onboard model against the published table"),
+        (Origin::Model, Origin::Measured, "Onboard model against what was measured in this campaign"),
+    ];
+    let map = |(origin, against, what): (Origin, Origin, &str)| {
+        let errors: Vec<LogError> = study.errors(origin, against).into_iter().map(|(_, e)| e).collect();
         let caption = format!(
-            "{what} against the published table: logarithmic error of each cell, RMS {:.1} % over {} cells.",
+            "{what}: logarithmic error of each cell, RMS {:.1} % over {} cells.",
             100.0 * rms(&errors),
             errors.len()
         );
-        (!errors.is_empty())
-            .then(|| (format!("error-{}", origin.name()), figures::error_map(study, origin), caption))
+        let name = match against {
+            Origin::Measured => "error-model-measured".to_owned(),
+            _ => format!("error-{}", origin.name()),
+        };
+        (!errors.is_empty()).then(|| (name, figures::error_map(study, origin, against), caption))
     };
-    if against { origins.into_iter().filter_map(map).collect() } else { Vec::new() }
+    pairs.into_iter().filter_map(map).collect()
 }
 
 fn origins(study: &Study) -> Vec<Origin> {
@@ -125,7 +131,7 @@ fn page(
     page.table(&peaks_table(study));
     page.folded_table("Downward sweep", &backward_table(study));
     if !maps.is_empty() {
-        page.section("Against the published table");
+        page.section("Where model and measurement fail");
         for (_, map, caption) in maps {
             page.drawing(&map.inline_svg()?, caption);
         }

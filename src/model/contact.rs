@@ -103,13 +103,65 @@ impl ContactLaw {
         if tip > 0.0 && viscous > 0.0 { -self.elastic_n(tip) / viscous } else { 0.0 }
     }
 
-    /// Fourth-order steps, each a small part of the tip's own time constant.
+    /// A free tip of a nonlinear law: in closed form where there is one, which is wherever a single nonlinear
+    /// part stands in the law.
     fn relaxed_nonlinear_m(&self, tip: f64, after_s: f64) -> f64 {
         if self.viscous_n_s_m(tip) == 0.0 {
             return 0.0;
         }
+        let parts = [self.hertz, self.cubic_n_m3, self.hunt_crossley_n_s_m2, self.preload_n];
+        let x = match parts.map(|part| part != 0.0) {
+            [true, false, false, false] if self.linear_n_m == 0.0 => self.relaxed_power_m(tip, after_s),
+            [false, true, false, false] if self.linear_n_m > 0.0 => self.relaxed_cubic_m(tip, after_s),
+            [false, false, true, false] if self.damping_n_s_m > 0.0 => self.relaxed_viscous_m(tip, after_s),
+            _ => self.relaxed_by_steps_m(tip, after_s),
+        };
+        if x <= self.smallest_m(tip) { 0.0 } else { x }
+    }
+
+    /// What a tip is taken to be back at, m.
+    fn smallest_m(&self, tip: f64) -> f64 {
+        (1e-9 * tip).max(RELAXED_M)
+    }
+
+    /// kh x^n + Cb x' = 0.
+    fn relaxed_power_m(&self, tip: f64, after_s: f64) -> f64 {
+        let rate = self.hertz * tip.powf(self.exponent - 1.0) / self.damping_n_s_m * after_s;
+        let over = self.exponent - 1.0;
+        // (1 + over rate)^(-1/over), which is exp(-rate) as the exponent comes down to 1.
+        let log = if over < 1e-9 { rate } else { (over * rate).ln_1p() / over };
+        tip * (-log).exp()
+    }
+
+    /// Kb x + kb3 x^3 + Cb x' = 0 (Bernoulli's equation).
+    fn relaxed_cubic_m(&self, tip: f64, after_s: f64) -> f64 {
+        let fallen = self.relaxation_1_s() * after_s;
+        let ratio = self.cubic_n_m3 * tip * tip / self.linear_n_m;
+        tip * (-fallen).exp() / (1.0 - ratio * (-2.0 * fallen).exp_m1()).sqrt()
+    }
+
+    /// Kb x + (Cb + mu x) x' = 0, so that Cb ln x + mu x falls with slope Kb: Newton's method on ln x, convex
+    /// and monotone.
+    fn relaxed_viscous_m(&self, tip: f64, after_s: f64) -> f64 {
+        let ratio = self.hunt_crossley_n_s_m2 * tip / self.damping_n_s_m;
+        let goal = ratio - self.relaxation_1_s() * after_s;
+        // y = ln(x / tip) solves y + ratio exp(y) = goal, and lies near the least of these.
+        let mut y = goal.min(0.0).min(if goal > 0.0 { (goal / ratio).ln() } else { goal });
+        for _ in 0..50 {
+            let part = ratio * y.exp();
+            let step = (y + part - goal) / (1.0 + part);
+            y -= step;
+            if step.abs() <= 1e-15 * (1.0 + y.abs()) {
+                break;
+            }
+        }
+        tip * y.exp()
+    }
+
+    /// Fourth-order steps, each a small part of the tip's own time constant.
+    fn relaxed_by_steps_m(&self, tip: f64, after_s: f64) -> f64 {
         let (mut x, mut left) = (tip, after_s);
-        let smallest = (1e-9 * tip).max(RELAXED_M);
+        let smallest = self.smallest_m(tip);
         for _ in 0..2000 {
             if left <= 0.0 {
                 return x;
@@ -127,5 +179,35 @@ impl ContactLaw {
             }
         }
         x
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn closed_forms_of_a_nonlinear_tip_are_its_steps() {
+        let base = ContactLaw {
+            linear_n_m: 33e3,
+            hertz: 0.0,
+            exponent: 1.5,
+            cubic_n_m3: 0.0,
+            preload_n: 0.0,
+            damping_n_s_m: 300.0,
+            hunt_crossley_n_s_m2: 0.0,
+        };
+        let power = |exponent| ContactLaw { linear_n_m: 0.0, hertz: 33e3, exponent, ..base };
+        let viscous = |mu| ContactLaw { hunt_crossley_n_s_m2: mu, ..base };
+        let cubic = ContactLaw { cubic_n_m3: 1e9, ..base };
+        for law in [power(1.0 + 1e-12), power(1.5), power(2.7), viscous(1e3), viscous(1e6), cubic] {
+            assert!(!law.is_linear());
+            for tip in [1e-5, 3e-3, 0.02] {
+                for after_s in [0.0, 1e-4, 3e-3, 0.02, 0.1] {
+                    let (closed, steps) = (law.relaxed_m(tip, after_s), law.relaxed_by_steps_m(tip, after_s));
+                    assert!((closed - steps).abs() < 2e-6 * tip, "{law:?} {tip} {after_s}: {closed} {steps}");
+                }
+            }
+        }
     }
 }

@@ -7,6 +7,8 @@ mod check;
 pub mod contact;
 pub mod effects;
 mod elementary;
+#[cfg(test)]
+mod energy_tests;
 mod error;
 pub mod exact;
 pub mod general;
@@ -30,7 +32,9 @@ pub use scales::Scales;
 pub use sensitivity::{Sensitivity, simulate_with_sensitivities};
 pub use simulate::{History, simulate_from, simulate_sampled};
 pub use spec::{BumperSpec, EffectSpec, IsolatorSpec, ModelSpec};
-pub use sweep::{StepPeaks, SweepHistory, SweepResponse, simulate_sweep, sweep_history, sweep_peaks};
+pub use sweep::{
+    StepPeaks, SweepHistory, SweepResponse, simulate_sweep, steady_peaks, sweep_history, sweep_peaks,
+};
 
 /// What the specimen does at one sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

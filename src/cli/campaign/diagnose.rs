@@ -1,8 +1,11 @@
 //! `campaign diagnose`: what the peaks of all cells say about the model.
 
 use super::{Place, refused};
-use crate::campaign::diagnose::{Depth, Diagnosis, Odd, diagnose, odd_entries};
+use crate::campaign::diagnose::{Diagnosis, Given, diagnose};
 use crate::campaign::fit::{Cell, Effort, cells};
+use crate::campaign::ladder::{Depth, Rung};
+use crate::campaign::odd::Odd;
+use crate::campaign::peaks::repeatability;
 use crate::campaign::tables::{Origin, Problem, Study};
 use crate::campaign::{Configuration, Store};
 use crate::cli::{CliError, Outcome};
@@ -60,21 +63,7 @@ pub(super) fn execute(args: Args) -> Result<Outcome, CliError> {
     let (configuration, store) = args.place.open()?;
     let study = args.origin.study(configuration, &store)?;
     let origin = args.origin.origin();
-    let scatter = match args.origin {
-        Of::Published => [0.08; 3],
-        // The steps of the sweep are what limits nu_R; the peaks repeat within a per cent.
-        Of::Measured => [0.01, 0.01, 0.03],
-    };
-    let all = cells(&study.configuration, study.of(origin));
-    if all.is_empty() {
-        return Err(CliError::failed("no peaks to diagnose"));
-    }
-    let spec = &study.configuration.spec;
-    let wanted = |cell: &&Cell| {
-        let bumper = &spec.bumper[cell.case.bumper];
-        if args.bumpers.is_empty() { !bumper.assumed } else { args.bumpers.contains(&bumper.name) }
-    };
-    let some: Vec<Cell> = all.iter().filter(wanted).cloned().collect();
+    let given = given(&study, &args)?;
     let jobs = crate::parallel::cores();
     let depth =
         Depth { full: Effort::FULL, first: Effort::QUICK, finalists: usize::from(args.finalists), jobs };
@@ -84,22 +73,41 @@ pub(super) fn execute(args: Args) -> Result<Outcome, CliError> {
         bar.tick();
     };
     let began = std::time::Instant::now();
-    let found = diagnose(&study.configuration, &some, scatter, depth, &tell);
+    let found = diagnose(&study.configuration, &given, depth, &tell);
     let found = found.ok_or_else(|| CliError::failed("the model of the campaign cannot be simulated"))?;
-    tell("entries that fit no trend");
-    let odd = odd_entries(&study.configuration, &all, depth.first).unwrap_or_default();
     bar.finish_and_clear();
     if args.json {
         let mut object = serde_json::to_value(&found).map_err(CliError::failed)?;
-        object["odd"] = serde_json::to_value(&odd).map_err(CliError::failed)?;
-        object["choices"] = choices(&study, origin, &odd);
+        object["choices"] = choices(&study, origin, &found.odd);
         object["wall_s"] = began.elapsed().as_secs_f64().into();
         println!("{object}");
     } else {
-        show(&found, &odd);
-        println!("\n{}", choices_text(&study, origin, &odd));
+        show(&found);
+        println!("\n{}", choices_text(&study, origin, &found.odd));
     }
     Ok(Outcome::Done)
+}
+
+/// The peaks that were asked for.
+fn given(study: &Study, args: &Args) -> Result<Given, CliError> {
+    let origin = args.origin.origin();
+    let scatter = match args.origin {
+        Of::Published => [0.08; 3],
+        // The steps of the sweep are what limits nu_R; the peaks repeat within a per cent.
+        Of::Measured => [0.01, 0.01, 0.03],
+    };
+    let all = cells(&study.configuration, study.of(origin));
+    let spec = &study.configuration.spec;
+    let wanted = |cell: &&Cell| {
+        let bumper = &spec.bumper[cell.case.bumper];
+        if args.bumpers.is_empty() { !bumper.assumed } else { args.bumpers.contains(&bumper.name) }
+    };
+    let some: Vec<Cell> = all.iter().filter(wanted).cloned().collect();
+    if some.is_empty() {
+        return Err(CliError::failed("no peaks to diagnose"));
+    }
+    let repeats = repeatability(&study.configuration, study.of(origin));
+    Ok(Given { cells: some, all, scatter, repeats })
 }
 
 fn cases(odd: &[Odd]) -> Vec<String> {
@@ -134,7 +142,7 @@ fn choices_text(study: &Study, origin: Origin, odd: &[Odd]) -> String {
     Problem::ALL.into_iter().filter_map(line).collect::<Vec<_>>().join("\n")
 }
 
-fn show(found: &Diagnosis, odd: &[Odd]) {
+fn show(found: &Diagnosis) {
     println!("verdict: {}", found.verdict);
     if !found.effects.is_empty() {
         println!("effects that do equally well: {}", found.effects.join(", "));
@@ -145,24 +153,9 @@ fn show(found: &Diagnosis, odd: &[Odd]) {
             found.corrections.join(", ")
         );
     }
-    let mut table =
-        Table::new(["", "numbers", "RMS (%)", "gap left out (%)", "mean A", "mean E", "mean nu (%)"]);
-    for rung in &found.ladder {
-        let held = rung.held_out.map_or("-".to_owned(), |held| format!("{:.1}", 100.0 * held));
-        let bias = rung.bias.map(|b| format!("{:+.1}", 100.0 * b));
-        let head = [rung.name.clone(), rung.numbers.to_string(), format!("{:.1}", 100.0 * rung.rms), held];
-        table.push(head.into_iter().chain(bias));
-    }
-    println!("\n{}", table.text());
-    if let Some(best) = found.ladder.last() {
-        let mut table = Table::new([best.name.as_str(), "value", "95 % low", "95 % high", "unit", ""]);
-        for p in &best.parameters {
-            let numbers = [p.value, p.low95, p.high95].map(|v| format!("{v:.4e}"));
-            let tested = if p.tested { "" } else { "untested" };
-            table
-                .push([p.name.clone()].into_iter().chain(numbers).chain([p.unit.clone(), tested.to_owned()]));
-        }
-        println!("{}", table.text());
+    println!("\n{}", ladder_text(found));
+    if let Some(best) = found.ladder.get(found.best) {
+        println!("{}", numbers_text(best));
     }
     println!("refused:");
     found.refused.iter().for_each(|refused| println!("  {}: {}", refused.name, refused.reason));
@@ -171,11 +164,41 @@ fn show(found: &Diagnosis, odd: &[Odd]) {
     println!("what would settle the rest:");
     found.next.iter().for_each(|line| println!("  {line}"));
     println!("entries that fit no smooth trend:");
-    for odd in odd {
+    for odd in &found.odd {
         let model = 100.0 * (odd.log_error.exp() - 1.0);
         println!(
             "  {} {}: a model of all cells gives {model:+.0} % ({:+.1} deviations)",
             odd.case, odd.quantity, odd.deviations
         );
     }
+}
+
+/// Errors of every rung, in per cent.
+fn ladder_text(found: &Diagnosis) -> String {
+    let heads =
+        ["", "numbers", "RMS (%)", "A", "E", "nu", "gap left out (%)", "mean A", "mean E", "mean nu (%)"];
+    let mut table = Table::new(heads);
+    let mut push = |name: String, rung: &Rung| {
+        let held = rung.held_out.map_or("-".to_owned(), |held| format!("{:.1}", 100.0 * held));
+        let of = rung.rms_of.map(|rms| format!("{:.1}", 100.0 * rms));
+        let bias = rung.bias.map(|b| format!("{:+.1}", 100.0 * b));
+        let head = [name, rung.numbers.to_string(), format!("{:.1}", 100.0 * rung.rms)];
+        table.push(head.into_iter().chain(of).chain([held]).chain(bias));
+    };
+    found.ladder.iter().for_each(|rung| push(rung.name.clone(), rung));
+    if let Some(rung) = &found.all_bumpers {
+        push(format!("all bumpers without odd entries, {}", rung.name), rung);
+    }
+    table.text()
+}
+
+/// Numbers of a rung with their intervals.
+fn numbers_text(rung: &Rung) -> String {
+    let mut table = Table::new([rung.name.as_str(), "value", "95 % low", "95 % high", "unit", ""]);
+    for p in &rung.parameters {
+        let numbers = [p.value, p.low95, p.high95].map(|v| format!("{v:.4e}"));
+        let tested = if p.tested { "" } else { "untested" };
+        table.push([p.name.clone()].into_iter().chain(numbers).chain([p.unit.clone(), tested.to_owned()]));
+    }
+    table.text()
 }

@@ -170,6 +170,27 @@ pub fn sweep_peaks(
     }
 }
 
+/// Steady states of an ideal sweep from the last `cycles` cycles of each step, between samples too where the
+/// general solver is needed: the quickest way to the peaks of a model, for those who evaluate thousands.
+/// `dt_s` (s) is how finely peaks in closed form are looked at, and the sample of models in between.
+///
+/// # Errors
+/// [`ModelError`] as [`super::build`].
+pub fn steady_peaks(
+    spec: &ModelSpec,
+    steps: &[Step],
+    dt_s: f64,
+    options: &Options,
+    cycles: f64,
+) -> Result<Vec<StepPeaks>, ModelError> {
+    let plan = Plan::counting(steps, dt_s, cycles);
+    Ok(match choose(spec, &plan, options)? {
+        Way::Closed(mut exact, closed) => closed::peaks(&mut exact, &closed, &plan).peaks,
+        Way::General(mut solver) => sampled::peaks_general(solver.as_mut(), &plan),
+        way => way.visit(&plan, &mut |_, _, _, _| {}).peaks,
+    })
+}
+
 /// [`simulate_sweep`] into columns, whose memory is used again when it suffices.
 ///
 /// # Errors

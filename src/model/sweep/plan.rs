@@ -13,18 +13,25 @@ pub struct Plan<'a> {
     pub end: f64,
     /// Sample period, s.
     pub dt: f64,
+    /// Cycles at the end of a step from which its peaks are taken.
+    pub counted: f64,
 }
 
 impl<'a> Plan<'a> {
     /// Lays the steps out.
     pub fn new(steps: &'a [Step], dt: f64) -> Self {
+        Self::counting(steps, dt, PEAK_CYCLES)
+    }
+
+    /// [`Plan::new`] with peaks from so many cycles.
+    pub fn counting(steps: &'a [Step], dt: f64, counted: f64) -> Self {
         let mut starts = Vec::with_capacity(steps.len());
         let mut end = 0.0;
         for step in steps {
             starts.push(end);
             end += f64::from(step.cycles) / step.frequency_hz;
         }
-        Self { steps, starts, end, dt }
+        Self { steps, starts, end, dt, counted }
     }
 
     /// Number of samples.
@@ -40,7 +47,7 @@ impl<'a> Plan<'a> {
     /// Peaks are taken from here on, s.
     pub(super) fn counted_from(&self, index: usize) -> f64 {
         let step = &self.steps[index];
-        self.end_of(index) - PEAK_CYCLES.min(f64::from(step.cycles)) / step.frequency_hz
+        self.end_of(index) - self.counted.min(f64::from(step.cycles)) / step.frequency_hz
     }
 
     /// First sample from which peaks of a step are taken.

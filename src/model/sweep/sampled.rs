@@ -4,7 +4,7 @@ use super::plan::Plan;
 use super::{StepPeaks, SweepResponse, Visit};
 use crate::model::Response;
 use crate::model::exact::{Exact, Wave};
-use crate::model::general::{self, Sine};
+use crate::model::general::{self, Drive, Sine};
 use std::f64::consts::TAU;
 
 /// Peaks and contacts while a sweep runs.
@@ -125,4 +125,43 @@ pub(super) fn run_general(
             }
         });
     }
+}
+
+/// Parts that a step of the solver is cut into where peaks are looked for.
+const PARTS: usize = 4;
+
+/// Peaks alone, on the dense output of the solver's steps: nothing is evaluated before the cycles that count.
+pub(super) fn peaks_general(solver: &mut dyn general::Sweepable, plan: &Plan<'_>) -> Vec<StepPeaks> {
+    let mut all = vec![StepPeaks::NONE; plan.steps.len()];
+    for (index, (step, peaks)) in plan.steps.iter().zip(&mut all).enumerate() {
+        let (start, w) = (plan.starts[index], TAU * step.frequency_hz);
+        let counted = plan.counted_from(index) - start;
+        let drive = Sine { amplitude: step.acceleration_amplitude_m_s2, angular_frequency: w };
+        solver.stretch(plan.end_of(index) - start, drive, &mut |begin, end, _, state| {
+            if end <= counted {
+                return;
+            }
+            let (first, length) = (((counted - begin) / (end - begin)).max(0.0), end - begin);
+            // Between events and knees everything is smooth: parabolas hold within a step, not across its ends.
+            let row: [Response; PARTS + 1] = std::array::from_fn(|i| {
+                let part = first + (1.0 - first) * i as f64 / PARTS as f64;
+                state(part, drive.at(begin + part * length))
+            });
+            row.iter().for_each(|response| peaks.take(response));
+            for three in row.windows(3) {
+                let [d, a] =
+                    [|r: &Response| r.relative_displacement_m, |r: &Response| r.mass_acceleration_m_s2]
+                        .map(|of| vertex([of(&three[0]), of(&three[1]), of(&three[2])]));
+                peaks.take(&Response { relative_displacement_m: d, mass_acceleration_m_s2: a, ..three[1] });
+            }
+        });
+    }
+    all
+}
+
+/// The turn of the parabola through three values in equal steps where it lies between them, else the middle
+/// value.
+fn vertex([before, middle, after]: [f64; 3]) -> f64 {
+    let (slope, bend) = (0.5 * (after - before), after - 2.0 * middle + before);
+    if slope.abs() > bend.abs() || bend == 0.0 { middle } else { middle - 0.5 * slope * slope / bend }
 }

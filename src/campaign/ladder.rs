@@ -1,0 +1,179 @@
+//! The ladder of a diagnosis on peaks: one rung for everything that may be free, fitted to all cells and, gap by
+//! gap, to all but those it is then judged on. [`super::diagnose`] climbs it.
+
+use super::fit::{Cell, Effort, Fitted, Freedom, Problem, counted_rms};
+use super::numbers::Number;
+use super::peaks::LogError;
+use super::spec::Configuration;
+use crate::parallel;
+use serde::Serialize;
+
+/// Share of its prior width that a number's interval must stay below to count as tested.
+const TESTED: f64 = 0.7;
+
+/// How thoroughly to look.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Depth {
+    /// Of fits that are quoted.
+    pub full: Effort,
+    /// Of the first look at every candidate.
+    pub first: Effort,
+    /// Candidates that are judged on gaps left out.
+    pub finalists: usize,
+    /// Threads.
+    pub jobs: usize,
+}
+
+/// One rung of the ladder from the model as it stands.
+#[derive(Clone, Debug, Serialize)]
+pub struct Rung {
+    /// What was free: `re-identified`, `coulomb-friction + peak-floor`.
+    pub name: String,
+    /// Numbers moved.
+    pub numbers: usize,
+    /// RMS of the logarithmic errors over the cells fitted to.
+    pub rms: f64,
+    /// The same over every gap while it was left out; `null` where nothing is fitted.
+    pub held_out: Option<f64>,
+    /// RMS of the errors of A_max, E_max and nu_R, ln.
+    pub rms_of: [f64; 3],
+    /// Mean errors of A_max, E_max and nu_R, ln.
+    pub bias: [f64; 3],
+    /// Values with 95 % intervals.
+    pub parameters: Vec<Estimate>,
+    /// What was free.
+    #[serde(skip)]
+    pub(super) freedom: Freedom,
+    #[serde(skip)]
+    pub(super) squares: Vec<f64>,
+}
+
+/// A number with its interval.
+#[derive(Clone, Debug, Serialize)]
+pub struct Estimate {
+    /// Name.
+    pub name: String,
+    /// Unit.
+    pub unit: String,
+    /// Best value.
+    pub value: f64,
+    /// 2.5 %.
+    pub low95: f64,
+    /// 97.5 %.
+    pub high95: f64,
+    /// The interval is far narrower than what was allowed; otherwise peaks say nothing about it.
+    pub tested: bool,
+}
+
+/// Cells against a campaign's model.
+pub(super) struct Study<'a> {
+    pub(super) configuration: &'a Configuration,
+    pub(super) cells: &'a [Cell],
+    pub(super) scatter: [f64; 3],
+    pub(super) depth: Depth,
+}
+
+impl Study<'_> {
+    pub(super) fn problem(&self, freedom: Freedom) -> Problem<'_> {
+        let mut problem = Problem::new(self.configuration, self.cells, freedom);
+        problem.scatter = self.scatter;
+        problem
+    }
+
+    /// Fits to all cells, and to all but one gap in turn.
+    pub(super) fn rung(&self, freedom: Freedom) -> Option<Rung> {
+        self.rungs(vec![freedom]).pop()
+    }
+
+    pub(super) fn rungs(&self, freedoms: Vec<Freedom>) -> Vec<Rung> {
+        let gaps: Vec<Option<usize>> = std::iter::once(None)
+            .chain((0..self.configuration.spec.gap.len()).map(Some))
+            .filter(|gap| gap.is_none() || self.cells.iter().any(|cell| cell.case.gap == *gap))
+            .collect();
+        let jobs: Vec<(usize, Option<usize>)> =
+            (0..freedoms.len()).flat_map(|f| gaps.iter().map(move |gap| (f, *gap))).collect();
+        let fits = parallel::map(&jobs, self.depth.jobs, |(f, left_out)| {
+            let problem = self.problem(freedoms[*f].clone());
+            let seen = |cell: &&Cell| left_out.is_none() || cell.case.gap != *left_out;
+            let cells: Vec<&Cell> = self.cells.iter().filter(seen).collect();
+            problem.fit(&cells, self.depth.full)
+        });
+        let of = |f: usize| {
+            let own: Vec<(Option<usize>, Option<&Fitted>)> = jobs
+                .iter()
+                .zip(&fits)
+                .filter(|((g, _), _)| *g == f)
+                .map(|((_, gap), fit)| (*gap, fit.as_ref()))
+                .collect();
+            self.assemble(freedoms[f].clone(), &own)
+        };
+        (0..freedoms.len()).filter_map(of).collect()
+    }
+
+    fn assemble(&self, freedom: Freedom, fits: &[(Option<usize>, Option<&Fitted>)]) -> Option<Rung> {
+        let problem = self.problem(freedom.clone());
+        let whole = fits.iter().find(|(gap, _)| gap.is_none())?.1?;
+        let all: Vec<&Cell> = self.cells.iter().collect();
+        let errors = problem.errors(&whole.x, &all)?;
+        let (mut held, mut held_cells) = (Vec::new(), Vec::new());
+        for (gap, fit) in fits.iter().filter(|(gap, _)| gap.is_some()) {
+            let test: Vec<&Cell> = self.cells.iter().filter(|cell| cell.case.gap == *gap).collect();
+            held.extend(problem.errors(&(*fit)?.x, &test)?);
+            held_cells.extend(test);
+        }
+        let moved = !problem.numbers.is_empty();
+        Some(Rung {
+            name: freedom.name(),
+            numbers: problem.numbers.len(),
+            rms: counted_rms(&errors, &all),
+            held_out: (moved && !held.is_empty()).then(|| counted_rms(&held, &held_cells)),
+            rms_of: of_each(&errors, &all, rms),
+            bias: of_each(&errors, &all, |values| values.iter().sum::<f64>() / values.len().max(1) as f64),
+            parameters: estimates(&problem, whole),
+            freedom,
+            squares: squares(&held, &held_cells),
+        })
+    }
+}
+
+/// Fall of the mean square from `before` to `after`, in its standard errors over the same cells.
+pub(super) fn paired(before: &[f64], after: &[f64]) -> f64 {
+    let n = before.len().min(after.len()) as f64;
+    if n < 2.0 {
+        return 0.0;
+    }
+    let falls: Vec<f64> = before.iter().zip(after).map(|(b, a)| b - a).collect();
+    let mean = falls.iter().sum::<f64>() / n;
+    let variance = falls.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    if variance > 0.0 { mean / (variance / n).sqrt() } else { 0.0 }
+}
+
+/// Squared errors that count.
+fn squares(errors: &[LogError], cells: &[&Cell]) -> Vec<f64> {
+    let of = |(error, cell): (&LogError, &&Cell)| error.values().into_iter().zip(cell.counts);
+    errors.iter().zip(cells).flat_map(of).filter(|(_, counts)| *counts).map(|(e, _)| e * e).collect()
+}
+
+/// A function of the errors that count, of A_max, E_max and nu_R each.
+fn of_each(errors: &[LogError], cells: &[&Cell], of: impl Fn(&[f64]) -> f64) -> [f64; 3] {
+    std::array::from_fn(|k| {
+        let counted = errors.iter().zip(cells).filter(|(_, cell)| cell.counts[k]);
+        of(&counted.map(|(error, _)| error.values()[k]).collect::<Vec<f64>>())
+    })
+}
+
+fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt()
+}
+
+fn estimates(problem: &Problem<'_>, fit: &Fitted) -> Vec<Estimate> {
+    let one = |((number, x), sigma): ((&Number, &f64), &f64)| Estimate {
+        name: number.name.replacen("base ", "", 1),
+        unit: number.unit.clone(),
+        value: number.value(*x),
+        low95: number.value(x - 1.96 * sigma),
+        high95: number.value(x + 1.96 * sigma),
+        tested: *sigma < TESTED * number.free.prior.1,
+    };
+    problem.numbers.iter().zip(&fit.x).zip(&fit.sigma).map(one).collect()
+}
