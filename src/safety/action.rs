@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 /// | log | goes on | enabled | goes on | event |
 /// | warn | goes on | enabled | goes on | event, shown |
 /// | hold | stays in the step it is in | enabled | waits for the operator | event, shown |
-/// | stop | amplitude decays over two cycles or, at higher frequencies, minimum-jerk stop at once; then slowly back to the centre | enabled | ended, latched | event, first-out snapshot |
+/// | stop | amplitude decays over some cycles or, at higher frequencies, minimum-jerk stop at once; then slowly back to the centre | enabled | ended, latched | event, first-out snapshot |
 /// | abort | minimum-jerk stop at once, stays there | enabled | ended, latched | event, first-out snapshot |
 /// | quick-stop | as abort | the drive's own quick stop | ended, latched | event, first-out snapshot |
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -25,7 +25,7 @@ pub enum Action {
     Warn,
     /// The sweep stays in its step until the operator resumes.
     Hold,
-    /// The amplitude decays over two cycles, then the table returns to its centre.
+    /// The amplitude decays over some cycles, then the table returns to its centre.
     Stop,
     /// Minimum-jerk stop at once; the table stays where it came to rest.
     Abort,

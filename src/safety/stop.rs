@@ -21,7 +21,10 @@ const HALVINGS: u32 = 20;
 struct Bounds {
     displacement_m: f64,
     velocity_m_s: f64,
+    /// In the direction in which the table is accelerated already: with what a stop begins it must live.
     acceleration_m_s2: f64,
+    /// Against it.
+    braking_m_s2: f64,
     jerk_m_s3: f64,
 }
 
@@ -39,7 +42,8 @@ pub struct MinimumJerkStop {
 impl MinimumJerkStop {
     /// The gentlest stop from a commanded state that keeps inside the rig's capacity: the shortest with
     /// an acceleration of `least_share` of A_G, with more only where the stroke asks for it.
-    /// `amplitude_m_s2` is A_G.
+    /// `amplitude_m_s2` is A_G. A sweep near its turning point accelerates by nearly A_G one way, and to brake as hard the
+    /// other way would throw a mass that has been swinging just short of its bumpers into one of them.
     pub fn new(start: &Command, amplitude_m_s2: f64, stops: &Stops, capacity: &Capacity) -> Self {
         let share = stops.capacity_share;
         let most_m_s2 = (share * capacity.acceleration_m_s2).max(start.acceleration_m_s2.abs());
@@ -47,6 +51,7 @@ impl MinimumJerkStop {
             displacement_m: (share * capacity.displacement_m).max(start.displacement_m.abs()),
             velocity_m_s: (share * capacity.velocity_m_s).max(start.velocity_m_s.abs()),
             acceleration_m_s2: acceleration_m_s2.max(start.acceleration_m_s2.abs()).min(most_m_s2),
+            braking_m_s2: acceleration_m_s2.min(most_m_s2),
             jerk_m_s3,
         };
         let gentle_m_s3 = stops.jerk_m_s3.min(share * capacity.jerk_m_s3);
@@ -113,14 +118,16 @@ impl MinimumJerkStop {
         let steepest = inside(-self.b / (3.0 * self.c));
         let end = self.at(self.duration_s);
         let over = |value: f64, bound: f64| value.abs() / bound - 1.0;
+        let brakes = |now: &Command| now.acceleration_m_s2 * self.start.acceleration_m_s2 <= 0.0;
         let jerk = (2.0 * self.b).abs().max((2.0 * self.b + 6.0 * self.c * self.duration_s).abs());
         [turn, fastest, steepest, Some(self.start), Some(end)]
             .into_iter()
             .flatten()
             .map(|command| {
+                let most = if brakes(&command) { bounds.braking_m_s2 } else { bounds.acceleration_m_s2 };
                 over(command.displacement_m, bounds.displacement_m)
                     .max(over(command.velocity_m_s, bounds.velocity_m_s))
-                    .max(over(command.acceleration_m_s2, bounds.acceleration_m_s2))
+                    .max(over(command.acceleration_m_s2, most))
             })
             .fold(over(jerk, bounds.jerk_m_s3).max(0.0), f64::max)
     }

@@ -1,6 +1,7 @@
 //! Stops from everywhere a sweep can be, and what they do to the mass.
 
 use crate::bench::in_parallel;
+use crate::pages::write_section;
 use rand::{Rng as _, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use shaketable::config::Case;
@@ -11,6 +12,7 @@ use shaketable::safety::{Decay, MinimumJerkStop, SafetySpec, Stops};
 use shaketable::stream::Command;
 use shaketable::sweep::{CommandPoint, Direction, Generator, Schedule, Segment, StepPhase, SweepSpec};
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 const RATE_HZ: f64 = 2048.0;
 const G: f64 = 9.80665;
@@ -117,7 +119,7 @@ fn a_million_stops_stay_inside_every_limit() {
 }
 
 /// Peak acceleration of the mass in a stop over its peak in the two cycles before, on a table that follows exactly.
-fn mass_ratio(case: &str, frequency_hz: f64, phase_share: f64) -> f64 {
+fn mass_ratio(case: &str, frequency_hz: f64, phase_share: f64, gentle: bool) -> f64 {
     let case: Case = case.parse().expect("a case");
     let mut specimen = build(&model_of_case(&case), 1.0 / RATE_HZ).expect("built");
     let (amplitude, w) = (case.acceleration_g * G, TAU * frequency_hz);
@@ -148,7 +150,11 @@ fn mass_ratio(case: &str, frequency_hz: f64, phase_share: f64) -> f64 {
         counted: true,
     };
     let point = CommandPoint { command, jerk_m_s3: 0.0, phase: Some(phase), segment: Segment::Step };
-    let stop = at_once(&point, &SafetySpec::built_in().expect("valid").stops);
+    let stops = SafetySpec::built_in().expect("valid").stops;
+    let stop = match Decay::of(&point, &stops).filter(|_| gentle) {
+        Some(decay) => Chosen::Gentle(decay),
+        None => at_once(&point, &stops),
+    };
     let mut during = 0.0_f64;
     for k in 1..=((stop.duration_s() + 0.5) * RATE_HZ) as u64 {
         let response = specimen.step(stop.at(k as f64 / RATE_HZ).acceleration_m_s2);
@@ -157,15 +163,16 @@ fn mass_ratio(case: &str, frequency_hz: f64, phase_share: f64) -> f64 {
     during / before
 }
 
-fn mass_ratios(count: u64) -> Vec<(f64, String)> {
-    let jobs: Vec<u64> = (0..count).collect();
+/// Random stops of all cases between two frequencies, Hz; ratios in rising order, with what they belong to.
+fn mass_ratios(seeds: Range<u64>, low_hz: f64, high_hz: f64, gentle: bool) -> Vec<(f64, String)> {
+    let jobs: Vec<u64> = seeds.collect();
     let mut ratios = in_parallel(&jobs, |seed| {
         let mut rng = Pcg64Mcg::seed_from_u64(*seed);
         let (bumper, gap) = (rng.random_range(1..=4), rng.random_range(1..=4));
         let case = format!("B{bumper}-G{gap}-{}", ["0.03", "0.04", "0.05", "0.07"][rng.random_range(0..4)]);
-        let (frequency_hz, phase) = (rng.random_range(0.5..3.0), rng.random_range(0.0..1.0));
-        let ratio = mass_ratio(&case, frequency_hz, phase);
-        (ratio, format!("{case} at {frequency_hz:.2} Hz, phase {phase:.2}: {ratio:.2}"))
+        let (frequency_hz, phase) = (rng.random_range(low_hz..high_hz), rng.random_range(0.0..1.0));
+        let ratio = mass_ratio(&case, frequency_hz, phase, gentle);
+        (ratio, format!("{case} at {frequency_hz:.3} Hz, phase {phase:.3}: {ratio:.2}"))
     });
     ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
     ratios
@@ -174,17 +181,63 @@ fn mass_ratios(count: u64) -> Vec<(f64, String)> {
 // SR-08
 #[test]
 fn a_stop_does_not_throw_the_mass() {
-    let ratios = mass_ratios(60);
-    let worst = ratios.last().expect("some");
-    assert!(worst.0 <= 2.0, "{}", worst.1);
+    for (low_hz, high_hz, gentle) in [(0.5, 3.0, false), (0.5, 0.8, false), (0.5, 0.8, true)] {
+        let ratios = mass_ratios(0..60, low_hz, high_hz, gentle);
+        let worst = ratios.last().expect("some");
+        assert!(worst.0 <= 2.0, "{}", worst.1);
+    }
+}
+
+/// Where a mass swings just short of its bumpers and a stop that brakes as hard as the sweep turns would throw it into one.
+// SR-08
+#[test]
+fn a_mass_that_swings_just_short_of_its_bumpers_is_not_thrown_into_one() {
+    for (case, frequency_hz, phase) in [
+        ("B3-G4-0.04", 0.55, 0.87),
+        ("B3-G2-0.03", 0.517, 0.350),
+        ("B4-G2-0.03", 0.510, 0.361),
+        ("B4-G4-0.04", 0.533, 0.347),
+        ("B4-G2-0.03", 0.524, 0.874),
+        ("B4-G2-0.03", 0.528, 0.734),
+        ("B4-G3-0.03", 0.660, 0.712),
+    ] {
+        for gentle in [false, true] {
+            let ratio = mass_ratio(case, frequency_hz, phase, gentle);
+            assert!(ratio <= 2.0, "{case} at {frequency_hz} Hz, phase {phase}, gentle {gentle}: {ratio:.2}");
+        }
+    }
 }
 
 #[test]
 #[ignore = "thousands of stops: a minute in release"]
 fn thousands_of_stops_do_not_throw_the_mass() {
-    let ratios = mass_ratios(20_000);
-    let at = |share: f64| &ratios[((ratios.len() - 1) as f64 * share) as usize];
-    let mean = ratios.iter().map(|ratio| ratio.0).sum::<f64>() / ratios.len() as f64;
-    println!("mean {mean:.2}, median {:.2}, 99 % {:.2}, worst {}", at(0.5).0, at(0.99).0, at(1.0).1);
-    assert!(at(1.0).0 <= 2.0, "{}", at(1.0).1);
+    let first = std::env::var("FIRST_SEED").ok().and_then(|n| n.parse().ok()).unwrap_or(0);
+    let mut table = String::from(
+        "| stop | Hz | stops | mean | median | 99 % | 99.9 % | worst | where |\n|---|---|---|---|---|---|---|---|---|\n",
+    );
+    let mut thrown = Vec::new();
+    for (name, low_hz, high_hz, gentle, count) in [
+        ("at once", 0.5, 3.0, false, 20_000),
+        ("at once", 0.5, 0.8, false, 10_000),
+        ("decay", 0.5, 0.8, true, 10_000),
+    ] {
+        let ratios = mass_ratios(first..first + count, low_hz, high_hz, gentle);
+        let at = |share: f64| ratios[((ratios.len() - 1) as f64 * share) as usize].0;
+        let mean = ratios.iter().map(|ratio| ratio.0).sum::<f64>() / ratios.len() as f64;
+        let worst = ratios.last().expect("some");
+        let (place, _) = worst.1.rsplit_once(':').expect("a place");
+        table += &format!(
+            "| {name} | {low_hz} to {high_hz} | {count} | {mean:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {place} |\n",
+            at(0.5),
+            at(0.99),
+            at(0.999),
+            worst.0
+        );
+        thrown.extend(ratios.into_iter().filter(|ratio| ratio.0 > 2.0).map(|ratio| ratio.1));
+    }
+    println!("{table}");
+    if std::env::var_os("WRITE_DOCS").is_some() {
+        write_section("stops", &table);
+    }
+    assert!(thrown.is_empty(), "{thrown:?}");
 }
