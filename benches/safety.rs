@@ -35,6 +35,7 @@ fn setup() -> Setup {
         specimen: model.clone(),
         model,
         case: Some(case),
+        safety: None,
         seed: 1,
         name: "bench".into(),
     }

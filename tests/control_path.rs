@@ -56,6 +56,7 @@ fn bench(case: &str, low_hz: f64, high_hz: f64, depths: Depths) -> Bench {
         specimen: model.clone(),
         model,
         case: Some(case),
+        safety: None,
         seed: 1,
         name: "guard".into(),
     };

@@ -14,6 +14,7 @@ use shaketable::daemon::http::{App, LARGEST_BODY, described, router};
 use shaketable::daemon::state::State;
 use shaketable::daemon::work::Work;
 use shaketable::rig::RigSpec;
+use shaketable::safety::SafetySpec;
 use shaketable::sweep::SweepSpec;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -39,7 +40,8 @@ fn daemon() -> Daemon {
     let work = Work::new(Some(case), SweepSpec::paper(), model_of_case(&case), None);
     let out = folder.path().join("runs");
     std::fs::create_dir(&out).expect("made");
-    let options = Options { out, rig: RigSpec::default(), work, seed: 1, pace: Pace::Virtual };
+    let safety = SafetySpec::built_in().expect("valid");
+    let options = Options { out, rig: RigSpec::default(), work, seed: 1, pace: Pace::Virtual, safety };
     let desk = Desk::new(options);
     let file = folder.path().join("tokens.toml");
     let address = "0.0.0.0:8732".parse().expect("address");

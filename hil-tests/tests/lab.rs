@@ -39,6 +39,7 @@ fn setup(low_hz: f64, high_hz: f64) -> Setup {
         model: specimen.clone(),
         specimen,
         case: Some(case),
+        safety: None,
         seed: 1,
         name: "lab".into(),
     }

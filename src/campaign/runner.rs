@@ -125,6 +125,7 @@ pub fn setup_of(configuration: &Configuration, case: &CaseKey, repeat: u32) -> S
         model: configuration.model_of(case),
         specimen: configuration.specimen_of(case),
         case: of_paper,
+        safety: None,
         seed: seed_of(configuration.spec.seed, &name),
         name,
     }

@@ -75,6 +75,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         model: specimen.clone(),
         specimen,
         case: None,
+        safety: None,
         seed: args.seed,
         name: "emulate".into(),
     };

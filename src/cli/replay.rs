@@ -85,7 +85,8 @@ fn of_file(args: &Args) -> Result<Plan, CliError> {
     let name = args.read.record.file_stem().map_or("record".into(), |stem| stem.to_string_lossy());
     let name = format!("replay-{name}");
     let specimen = model.clone();
-    let setup = Setup { rig, sweep: SweepSpec::paper(), model, specimen, case: None, seed: 0, name };
+    let setup =
+        Setup { rig, sweep: SweepSpec::paper(), model, specimen, case: None, safety: None, seed: 0, name };
     let (schedule, mut points, samples) = of_record(&record);
     // A sample stands under the command of the period before.
     let points = points.split_off(points.len().min(1));

@@ -10,6 +10,7 @@ use crate::daemon::desk::{Desk, Options};
 use crate::daemon::work::Work;
 use crate::daemon::{DaemonError, Listen, serve};
 use crate::rig::RigSpec;
+use crate::safety::SafetySpec;
 use crate::sweep::SweepSpec;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -52,6 +53,9 @@ pub struct Args {
     /// onboard model.
     #[arg(long)]
     specimen: Option<String>,
+    /// Safety file: detectors, action ladder, stops, operator's link.
+    #[arg(long, default_value = "default")]
+    safety: String,
     /// Seed of the first run's noise on the simulated rig; each run takes the next one.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -118,6 +122,7 @@ fn options(args: &Args) -> Result<Options, CliError> {
     let mut sweep: SweepSpec =
         find("sweeps", &args.sweep).and_then(|source| source.parse()).map_err(usage)?;
     sweep.acceleration_g = args.case.acceleration_g;
+    let safety: SafetySpec = find("safety", &args.safety).and_then(|source| source.parse()).map_err(usage)?;
     let model = match &args.model {
         Some(name) => read_model(name)?,
         None => model_of_case(&args.case),
@@ -132,5 +137,6 @@ fn options(args: &Args) -> Result<Options, CliError> {
         work: Work::new(case, sweep, model, specimen),
         seed: args.seed,
         pace: Pace::Wall { cpu, require_realtime: args.require_realtime },
+        safety,
     })
 }

@@ -8,6 +8,8 @@ use std::time::Duration;
 
 /// How often the status is asked for.
 const EVERY: Duration = Duration::from_millis(500);
+/// How often a sign of life is sent: several times within the silence that a safety file allows.
+const BEAT: Duration = Duration::from_millis(250);
 
 /// Follow a running daemon until its run has ended.
 #[derive(Debug, clap::Args)]
@@ -15,6 +17,10 @@ pub struct Args {
     /// Follow on after the run has ended.
     #[arg(long)]
     forever: bool,
+    /// Be the operator's link: send a sign of life four times a second as long as this runs, between runs too. A daemon whose
+    /// safety file asks for that link stops the table when it ends.
+    #[arg(long)]
+    heartbeat: bool,
     #[command(flatten)]
     reach: Reach,
 }
@@ -24,9 +30,16 @@ pub struct Args {
 /// # Errors
 /// No daemon answers, or it refuses; a run that failed.
 pub fn execute(args: Args) -> Result<Outcome, CliError> {
-    let client = args.reach.client(false)?;
+    let client = args.reach.client(args.heartbeat)?;
+    let mut told = false;
     let terminal = std::io::stderr().is_terminal() && !args.reach.json;
     loop {
+        if args.heartbeat {
+            let heard = client.post("/api/v1/session/alive", None)?;
+            if !std::mem::replace(&mut told, true) && heard["watched"] == false {
+                eprintln!("this daemon's safety file watches no operator's link (supervision.operator_link)");
+            }
+        }
         let status = client.get("/api/v1/status")?;
         if args.reach.json {
             println!("{status}");
@@ -35,14 +48,14 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
             eprint!("{begin}{}{end}", progress(&status));
             std::io::stderr().flush().map_err(CliError::failed)?;
         }
-        if !status["run"].is_object() && !args.forever {
+        if !status["run"].is_object() && !args.forever && !args.heartbeat {
             if !args.reach.json {
                 eprintln!();
                 print!("{}", lines(&status));
             }
             return ended(&status);
         }
-        std::thread::sleep(EVERY);
+        std::thread::sleep(if args.heartbeat { BEAT } else { EVERY });
     }
 }
 

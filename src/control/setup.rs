@@ -5,7 +5,7 @@ use super::onboard::Observed;
 use super::recorded::points_of_rows;
 use super::session::{Pace, Plan};
 use super::thread::prioritise_link;
-use crate::config::Case;
+use crate::config::{Case, ConfigError};
 use crate::model::observe::Instruments;
 use crate::model::system::System;
 use crate::model::{ModelError, ModelSpec, Observer, Specimen, build, paper};
@@ -34,6 +34,8 @@ pub struct Setup {
     pub specimen: ModelSpec,
     /// Case of the paper's Table 1, if one was named.
     pub case: Option<Case>,
+    /// Detectors, action ladder, stops; without it the built-in `safety.toml`.
+    pub safety: Option<SafetySpec>,
     /// Seed of noise and faults.
     pub seed: u64,
     /// Name of the run.
@@ -120,18 +122,23 @@ impl Setup {
         Ok(rig.with_instruments(Observer::from_instruments(system.instruments, step_s)))
     }
 
-    /// Detectors, supervisor and stops for this rig and specimen, by the built-in `safety.toml`.
+    /// The safety file in force: the set-up's own, else the built-in one.
     ///
     /// # Errors
     /// [`SetupError::Text`] when that is broken.
-    pub fn guard(&self, chain_delay_s: f64) -> Result<Guard, SetupError> {
-        Ok(self.guard_by(&safety_spec()?, chain_delay_s))
+    pub fn safety_spec(&self) -> Result<SafetySpec, SetupError> {
+        let broken = |error: ConfigError| SetupError::Text { role: "safety", reason: error.to_string() };
+        self.safety.clone().map_or_else(|| SafetySpec::built_in().map_err(broken), Ok)
     }
 
-    /// The same by a safety file of one's own.
-    pub fn guard_by(&self, spec: &SafetySpec, chain_delay_s: f64) -> Guard {
+    /// Detectors, supervisor and stops for this rig and specimen.
+    ///
+    /// # Errors
+    /// [`SetupError::Text`] as of [`Setup::safety_spec`].
+    pub fn guard(&self, chain_delay_s: f64) -> Result<Guard, SetupError> {
         let rate = self.rig.sample_rate_hz;
-        Guard::new(spec, &safety::Setup::new(rate, chain_delay_s, self.rig.capacity(), &self.model))
+        let known = safety::Setup::new(rate, chain_delay_s, self.rig.capacity(), &self.model);
+        Ok(Guard::new(&self.safety_spec()?, &known))
     }
 
     /// What `run.toml` says at the start.
@@ -150,11 +157,12 @@ impl Setup {
         manifest.configure("sweep", text("sweep", &self.sweep)?);
         manifest.configure("model", text("model", &self.model)?);
         manifest.configure("specimen", text("specimen", &self.specimen)?);
-        manifest.configure("safety", text("safety", &safety_spec()?)?);
+        manifest.configure("safety", text("safety", &self.safety_spec()?)?);
         Ok(manifest)
     }
 
-    /// The setup of a recorded run, from what its `run.toml` kept.
+    /// The setup of a recorded run, from what its `run.toml` kept. A safety file of another version of this program gives
+    /// way to the built-in one.
     ///
     /// # Errors
     /// [`SetupError::Text`] when a configuration is missing or unreadable.
@@ -169,6 +177,7 @@ impl Setup {
             },
             model,
             case: manifest.case.as_ref().and_then(|case| case.parse().ok()),
+            safety: parse(manifest, "safety").ok(),
             seed: manifest.seed.unwrap_or(0),
             name: manifest.name.clone(),
         })
@@ -186,7 +195,8 @@ impl Setup {
         Ok(Generator::recorded(&schedule, rate, points))
     }
 
-    /// Recorded samples, played back through this setup under a command, ready to start.
+    /// Recorded samples, played back through this setup under a command, ready to start. Nobody operates a record, so that
+    /// no operator's link is missed.
     ///
     /// # Errors
     /// [`SetupError`] when anything is refused.
@@ -197,13 +207,16 @@ impl Setup {
         out: &Path,
     ) -> Result<Plan, SetupError> {
         let delay_s = chain_delay_s(&self.rig.simulated(), self.rig.sample_rate_hz);
+        let mut safety = self.safety_spec()?;
+        safety.supervision.operator_link = false;
+        let setup = Self { safety: Some(safety), ..self.clone() };
         Ok(Plan {
             out: out.to_owned(),
-            manifest: self.manifest(Pace::Virtual)?,
+            manifest: setup.manifest(Pace::Virtual)?,
             rig: Box::new(ReplayRig::new(samples, delay_s)),
             generator: command,
-            model: self.onboard_model()?,
-            guard: Some(self.guard(delay_s)?),
+            model: setup.onboard_model()?,
+            guard: Some(setup.guard(delay_s)?),
             pace: Pace::Virtual,
             depths: Depths::for_rate(self.rig.sample_rate_hz),
         })
@@ -275,10 +288,6 @@ impl Setup {
             depths: Depths::for_rate(self.rig.sample_rate_hz),
         })
     }
-}
-
-fn safety_spec() -> Result<SafetySpec, SetupError> {
-    SafetySpec::built_in().map_err(|error| SetupError::Text { role: "safety", reason: error.to_string() })
 }
 
 /// The published model of a case.

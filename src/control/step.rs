@@ -362,7 +362,9 @@ impl Controller {
     fn command(&mut self) {
         let mut obeyed = None;
         while let Some(request) = self.end.request() {
-            obeyed = self.obey(request).then_some(request).or(obeyed);
+            let obeys = self.obey(request);
+            // Signs of life come several times a second: only their absence is told.
+            obeyed = (obeys && request != Request::Alive).then_some(request).or(obeyed);
         }
         self.tell();
         let point = self.next_point();

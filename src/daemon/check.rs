@@ -190,6 +190,7 @@ mod tests {
             specimen: model.clone(),
             model,
             case: None,
+            safety: None,
             seed: 3,
             name: "check".into(),
         }

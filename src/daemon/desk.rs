@@ -4,17 +4,20 @@
 
 use super::check::{Checked, check};
 use super::journal::Journal;
+use super::link::Link;
 use super::live::Hub;
 use super::state::{Action, NotNow, State};
 use super::work::{Work, WorkError};
 use crate::control::clock::now_ns;
 use crate::control::session::{Operator, Pace};
+use crate::control::setup::Setup;
 use crate::control::{Nrmse, Request, StepSummary};
 use crate::diagnose::live::Follower;
 use crate::record::folder::now_utc;
 use crate::rig::RigSpec;
 use crate::rig::hardware::HardwareMonitor;
 use crate::rig::simulated::FaultSwitches;
+use crate::safety::{self, SafetySpec};
 use crate::sweep::Schedule;
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -36,6 +39,8 @@ pub struct Options {
     pub seed: u64,
     /// How time passes.
     pub pace: Pace,
+    /// Detectors, action ladder, stops, and whether an operator's link is watched.
+    pub safety: SafetySpec,
 }
 
 /// Why the desk refused something.
@@ -59,6 +64,9 @@ pub enum DeskError {
     /// The run could not be started.
     #[error("{0}")]
     Start(String),
+    /// The operator's link is configured and silent.
+    #[error("{0}")]
+    Silent(String),
 }
 
 /// Why the bench is aborted.
@@ -78,6 +86,8 @@ pub(super) struct Live {
     pub(super) id: String,
     pub(super) name: String,
     pub(super) schedule: Schedule,
+    /// How the supervisor of the control thread stands, as it told last.
+    pub(super) supervisor: safety::State,
     pub(super) rate_hz: f64,
     pub(super) steps: Vec<StepSummary>,
     pub(super) evidence: Follower,
@@ -126,6 +136,7 @@ pub(super) struct Inner {
     pub(super) checked: Option<Checked>,
     pub(super) checking: bool,
     pub(super) cause: Option<Cause>,
+    pub(super) link: Link,
     pub(super) live: Option<Live>,
     pub(super) ended: Option<Ended>,
 }
@@ -150,6 +161,7 @@ pub(super) struct Fixed {
     pub(super) out: PathBuf,
     pub(super) rig: RigSpec,
     pub(super) pace: Pace,
+    pub(super) safety: SafetySpec,
 }
 
 impl Desk {
@@ -162,12 +174,13 @@ impl Desk {
             checked: None,
             checking: false,
             cause: None,
+            link: Link::new(&options.safety),
             live: None,
             ended: None,
         };
         Arc::new(Self {
             journal: Journal::new(&options.out),
-            options: Fixed { out: options.out, rig: options.rig, pace: options.pace },
+            options: Fixed { out: options.out, rig: options.rig, pace: options.pace, safety: options.safety },
             inner: Mutex::new(inner),
             hub: Arc::default(),
             changed: watch::channel(0).0,
@@ -221,6 +234,12 @@ impl Desk {
         self.runs.load(Ordering::Relaxed)
     }
 
+    /// Everything that defines the next run.
+    pub(super) fn setup(&self, work: &Work, seed: u64) -> Setup {
+        let safety = Some(self.options.safety.clone());
+        Setup { safety, ..work.setup(&self.options.rig, seed) }
+    }
+
     pub(super) fn next_seed(&self) -> u64 {
         self.seed.fetch_add(1, Ordering::Relaxed)
     }
@@ -267,7 +286,7 @@ impl Desk {
         };
         self.touch();
         let required = matches!(self.options.pace, Pace::Wall { require_realtime: true, .. });
-        let setup = work.setup(&self.options.rig, self.seed.load(Ordering::Relaxed));
+        let setup = self.setup(&work, self.seed.load(Ordering::Relaxed));
         let id = self.checks.fetch_add(1, Ordering::Relaxed);
         let checked = check(&setup, &self.options.out, required, id);
         {
@@ -292,6 +311,7 @@ impl Desk {
         {
             let mut inner = self.lock();
             let next = inner.state.after(Action::Arm)?;
+            inner.link.required()?;
             let unchecked = |text: String| Err(DeskError::Unchecked(text));
             match &inner.checked {
                 None => return unchecked("there are no checks to confirm yet".into()),
@@ -355,7 +375,7 @@ impl Desk {
     /// Acknowledges the cause of an abort and clears it.
     ///
     /// # Errors
-    /// [`DeskError`] when the bench is not aborted, or another cause is acknowledged.
+    /// [`DeskError`] when the bench is not aborted, another cause is acknowledged, or the operator's link is silent.
     pub fn reset(&self, who: &str, acknowledged: &str) -> Result<(), DeskError> {
         let cause = {
             let mut inner = self.lock();
@@ -364,6 +384,8 @@ impl Desk {
             if let Some(cause) = cause.as_ref().filter(|cause| cause.detector != acknowledged) {
                 return Err(DeskError::Acknowledge(cause.detector.clone()));
             }
+            // SR-04: what is still wrong cannot be cleared.
+            inner.link.required()?;
             inner.enter(next);
             (inner.cause, inner.checked) = (None, None);
             cause
@@ -390,7 +412,7 @@ impl Inner {
 
 impl Live {
     /// Hands a request to the control thread, or keeps a stop until that is there.
-    fn ask(&mut self, request: Request) {
+    pub(super) fn ask(&mut self, request: Request) {
         if request == Request::Stop {
             self.stop_asked = true;
             self.asked_ns.get_or_insert_with(now_ns);

@@ -11,6 +11,7 @@ pub mod desk;
 pub mod frame;
 pub mod http;
 pub mod journal;
+pub mod link;
 pub mod live;
 pub mod meters;
 pub mod metrics;
@@ -144,6 +145,7 @@ async fn tell(app: Arc<App>) {
         tokio::select! {
             changed = changes.changed() => if changed.is_err() { return },
             _ = rhythm.tick() => {
+                app.desk.watch_link();
                 app.limiter.retain_recent();
                 if !app.desk.state().is_live() {
                     continue;

@@ -2,7 +2,7 @@
 //! desk how it ended. The desk's lock is never held while anything is waited for.
 
 use super::desk::{Cause, Desk, DeskError, Ended, Live};
-use super::state::{Action, State};
+use super::state::{Action, NotNow, State};
 use crate::cli::run::hardware::close as close_links;
 use crate::control::clock::now_ns;
 use crate::control::session::{self, Finished, Session};
@@ -14,6 +14,7 @@ use crate::record::recorder::Notice;
 use crate::report::of_run;
 use crate::rig::hardware::HardwareMonitor;
 use crate::rig::simulated::FaultSwitches;
+use crate::safety;
 use serde_json::json;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -31,7 +32,12 @@ impl Desk {
         let setup = {
             let mut inner = self.lock();
             let next = inner.state.after(Action::Start)?;
-            let setup = inner.work.setup(&self.options.rig, self.next_seed());
+            inner.link.required()?;
+            // SR-03: the state has not forgotten it, but what is latched is looked at itself.
+            if inner.cause.is_some() {
+                return Err(NotNow { action: Action::Start, state: State::Aborted }.into());
+            }
+            let setup = self.setup(&inner.work, self.next_seed());
             let schedule = setup.schedule().map_err(|error| DeskError::Start(error.to_string()))?;
             inner.enter(next);
             inner.ended = None;
@@ -40,6 +46,7 @@ impl Desk {
                 id: String::new(),
                 name: setup.name.clone(),
                 schedule,
+                supervisor: safety::State::Faulted,
                 rate_hz: setup.rig.sample_rate_hz,
                 steps: Vec::new(),
                 evidence: Follower::default(),
@@ -215,6 +222,17 @@ impl Desk {
                 inner.cause.get_or_insert(cause);
                 inner.enter(State::Stopping);
             }
+            Event::Supervisor { state, .. } => {
+                live.supervisor = *state;
+                let next = inner.state.under(*state);
+                inner.enter(next);
+            }
+            // What was asked here and taken for granted is not so.
+            Event::Refused { .. } => {
+                let supervisor = live.supervisor;
+                let next = inner.state.under(supervisor);
+                inner.enter(next);
+            }
             _ => {}
         }
         drop(inner);
@@ -243,7 +261,9 @@ impl Desk {
         let manifest = &finished.manifest;
         let mut inner = self.lock();
         let id = inner.live.take().map_or_else(String::new, |live| live.id);
-        inner.enter(State::ended(finished.ending));
+        // SR-03: a fault that latched in the last moments latches as well, though the sweep had come to its end.
+        let latched = inner.cause.is_some();
+        inner.enter(if latched { State::Aborted } else { State::ended(finished.ending) });
         inner.checked = None;
         if matches!(finished.ending, Ending::Aborted | Ending::Failed | Ending::Interrupted) {
             let text = manifest.cause.clone().unwrap_or_else(|| "the run failed".into());

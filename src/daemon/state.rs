@@ -1,8 +1,9 @@
 //! The states of the bench and the ways between them, as pure functions: what the operator may ask in
-//! which state, and what a run's end makes of it. The desk calls it before it does anything; nothing else
-//! changes a state.
+//! which state, what the supervisor of a run makes of it, and what that run's end does. The desk calls it before it does
+//! anything; nothing else changes a state. Whether the table moves is the supervisor's to say, here as everywhere.
 
 use crate::control::Ending;
+use crate::safety;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -132,6 +133,19 @@ impl State {
         }
     }
 
+    /// The state of a live bench whose supervisor on the control thread is in one of its own: what that decides stands
+    /// above what was asked here. From a stop only the end leads on.
+    pub fn under(self, supervisor: safety::State) -> Self {
+        use safety::State as Supervisor;
+        match (self, supervisor) {
+            (Self::Running | Self::Holding, Supervisor::Stopping | Supervisor::Aborting) => Self::Stopping,
+            (Self::Running | Self::Holding, Supervisor::Holding) => Self::Holding,
+            // Before the sweep there is nothing to hold.
+            (Self::Holding, _) => Self::Running,
+            _ => self,
+        }
+    }
+
     /// The state once a run has ended.
     pub fn ended(ending: Ending) -> Self {
         match ending {
@@ -200,6 +214,23 @@ mod tests {
         }
         assert_eq!(Stopping.after(Action::Hold), Err(NotNow { action: Action::Hold, state: Stopping }));
         assert_eq!(Stopping.after(Action::Resume), Err(NotNow { action: Action::Resume, state: Stopping }));
+    }
+
+    // SR-03
+    #[test]
+    fn the_supervisor_has_the_last_word_on_what_moves() {
+        use safety::State as Supervisor;
+        for state in State::ALL {
+            for supervisor in Supervisor::ALL {
+                let under = state.under(supervisor);
+                assert_eq!(under.is_live(), state.is_live(), "{state:?} {supervisor:?}");
+                if matches!(supervisor, Supervisor::Stopping | Supervisor::Aborting) && state.is_live() {
+                    assert_eq!(under, Stopping, "{state:?}");
+                }
+                assert!(under != Holding || supervisor == Supervisor::Holding, "{state:?} {supervisor:?}");
+                assert!(state != Stopping || under == Stopping, "a stop is not taken back: {supervisor:?}");
+            }
+        }
     }
 
     #[test]

@@ -79,6 +79,8 @@ pub struct Running {
     pub lost_samples: u64,
     /// Steps that are finished.
     pub finished: usize,
+    /// How the supervisor of the control thread stands.
+    pub supervisor: &'static str,
     /// Real-time set-up.
     pub real_time: Option<String>,
     /// Share of the recorder's ring that waits, 0 to 1.
@@ -173,14 +175,16 @@ impl Desk {
             Some(cause) => link("no latched cause", false, &cause.text),
         };
         let armed = matches!(inner.state, State::Armed) || inner.state.is_live();
-        vec![
+        let mut chain = vec![
             latch,
             line("links", "links"),
             line("loop", "loop check"),
             line("table limits", "sweep within the table's limits"),
             line("disk", "disk"),
             link("armed", armed, if armed { "confirmed by an operator" } else { "not armed" }),
-        ]
+        ];
+        chain.extend(inner.link.interlock());
+        chain
     }
 }
 
@@ -209,6 +213,7 @@ fn running(live: &Live, ring_fill: f64) -> Running {
         slips: live.slips,
         lost_samples: live.daq_lost,
         finished: live.steps.len(),
+        supervisor: live.supervisor.name(),
         real_time: live.real_time.clone(),
         ring_fill,
         evidence: live.evidence.latest(),

@@ -54,7 +54,7 @@ impl Work {
         Self { case, sweep, model, specimen, name, undo: Vec::new() }
     }
 
-    /// Everything that defines the next run.
+    /// Everything that defines the next run but for the safety file, which is not the work's to choose.
     pub fn setup(&self, rig: &RigSpec, seed: u64) -> Setup {
         Setup {
             rig: rig.clone(),
@@ -62,6 +62,7 @@ impl Work {
             model: self.model.clone(),
             specimen: self.specimen.clone(),
             case: self.case,
+            safety: None,
             seed,
             name: self.name.clone(),
         }

@@ -215,9 +215,11 @@ impl Guard {
     /// # Errors
     /// [`Refusal`] of the supervisor; nothing has changed then.
     pub fn ask(&mut self, ask: Ask, generator: &mut Generator) -> Result<(), Refusal> {
-        self.heard = self.now;
         let event = match ask {
-            Ask::Alive => return Ok(()),
+            Ask::Alive => {
+                self.heard = self.now;
+                return Ok(());
+            }
             Ask::Reset => {
                 self.watch.reset();
                 Event::Reset { asked: self.now }
@@ -445,9 +447,11 @@ impl Guard {
             }
             _ => None,
         };
-        if let Some(outcome) = outcome {
-            self.outcome.get_or_insert(outcome);
+        // SR-02: a fault after the last command latches as well.
+        if outcome == Some(Outcome::Aborted) {
+            self.outcome = outcome;
         }
+        self.outcome = self.outcome.or(outcome);
     }
 
     /// How the run ended, once the table is at rest and what follows a fault has been recorded.

@@ -1,5 +1,5 @@
 //! The supervisor: a pure state machine over states, events and time (counted in control periods). The
-//! guard of the control thread drives one per run, the daemon one per bench. It promises that a latched fault and a
+//! guard of the control thread drives one per run; the daemon follows it. It promises that a latched fault and a
 //! running table exclude each other, that a stop is obeyed in every state, and that the way back from a
 //! fault leads through a reset, an arm and a start, each asked for anew.
 

@@ -56,7 +56,16 @@ pub fn setup(case: &str, rig: RigSpec, sweep: SweepSpec, seed: u64) -> Setup {
     let case: Case = case.parse().expect("a case");
     let model = model_of_case(&case);
     let sweep = SweepSpec { acceleration_g: case.acceleration_g, ..sweep };
-    Setup { rig, sweep, specimen: model.clone(), model, case: Some(case), seed, name: "safety".into() }
+    Setup {
+        rig,
+        sweep,
+        specimen: model.clone(),
+        model,
+        case: Some(case),
+        safety: None,
+        seed,
+        name: "safety".into(),
+    }
 }
 
 impl Bench {

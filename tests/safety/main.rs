@@ -6,6 +6,7 @@
 mod bench;
 mod campaign;
 mod faults;
+mod link;
 mod pages;
 mod requirements;
 mod roc;

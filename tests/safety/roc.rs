@@ -63,8 +63,10 @@ fn random(seed: u64) -> Setup {
     table.acceleration_feedforward = 1.0 + 0.1 * (table.platen_mass_kg / 1500.0 - 1.0);
     table.foldback = Some(fold);
     let sweep = SweepSpec { acceleration_g: case.acceleration_g, cycles: 6, ..SweepSpec::paper() };
-    let sweep = sweep.restricted(0.5, 1.5).expect("in range");
-    Setup { rig, sweep, specimen, model, case: Some(case), seed, name: "roc".into() }
+    // At 0.10 g the lowest step uses 99.4 % of the stroke, which a table that is off leaves at once.
+    let lowest_hz = if case.acceleration_g > 0.08 { 0.6 } else { 0.5 };
+    let sweep = sweep.restricted(lowest_hz, 1.5).expect("in range");
+    Setup { rig, sweep, specimen, model, case: Some(case), safety: None, seed, name: "roc".into() }
 }
 
 /// Whether the authors ran such a case: B4 at the two large gaps at 0.07 g, everything below.
@@ -78,6 +80,8 @@ struct Trial {
     was_run: bool,
     folded_s: Option<f64>,
     frequency_hz: f64,
+    /// The drive tripped before the end, for want of stroke.
+    left_stroke: bool,
     trips_s: [Option<(f64, DetectorId)>; FACTORS.len()],
 }
 
@@ -104,7 +108,8 @@ fn trial(setup: &Setup) -> Trial {
     let mut model = setup.onboard_model().expect("model");
     let mut watches = watches(setup, rig.chain_delay_s());
     let was_run = setup.case.as_ref().is_some_and(was_run);
-    let mut trial = Trial { was_run, folded_s: None, frequency_hz: 0.0, trips_s: [None; FACTORS.len()] };
+    let none = [None; FACTORS.len()];
+    let mut trial = Trial { was_run, folded_s: None, frequency_hz: 0.0, left_stroke: false, trips_s: none };
     let mut last: Option<CommandPoint> = None;
     while !generator.is_done() {
         rig.advance();
@@ -132,6 +137,7 @@ fn trial(setup: &Setup) -> Trial {
         last = Some(point);
         // A table that has lost its command may run into its stops, where its drive trips: that ends the trial.
         if rig.write(&point.command).is_err() {
+            trial.left_stroke = true;
             break;
         }
     }
@@ -238,6 +244,8 @@ fn false_alarms_and_detections_over_random_rigs() {
     let trials = trials(count);
     let (table, rates) = curve(&trials);
     println!("{table}");
+    let left = trials.iter().filter(|trial| trial.left_stroke && trial.folded_s.is_none()).count();
+    println!("{left} left the stroke without a fold");
     let wrong = |trial: &&Trial| match trial.folded_s {
         Some(_) => trial.trips_s[5].is_none(),
         None => trial.was_run && trial.trips_s[5].is_some(),

@@ -4,6 +4,7 @@
 use crate::bench::setup;
 use shaketable::control::Ending;
 use shaketable::control::session::{Pace, SessionError, start};
+use shaketable::control::setup::Setup;
 use shaketable::rig::simulated::SimulatedRig;
 use shaketable::rig::{Rig, RigFault, RigSpec};
 use shaketable::safety::{DetectorId, SafetySpec, StopLine};
@@ -121,7 +122,8 @@ fn after(order: u8, command_timeout_s: f64, with_line: bool) -> (Plant, Result<E
     for id in DetectorId::ALL.into_iter().filter(|id| *id != DetectorId::DeviceStatus) {
         spec.row_mut(id).disabled = Some("the machine of this test is busy".into());
     }
-    plan.guard = Some(setup.guard_by(&spec, delay_s));
+    let setup = Setup { safety: Some(spec), ..setup.clone() };
+    plan.guard = Some(setup.guard(delay_s).expect("valid"));
     let living = plant.clone();
     let life = std::thread::spawn(move || living.live());
     let session = start(plan).expect("started");

@@ -87,7 +87,16 @@ fn dwell(case: &Case, rate_hz: f64, seconds: f64) -> Setup {
     sweep.cycles = (frequency_hz * seconds).ceil().max(1.0) as u32;
     sweep.acceleration_g = case.acceleration_g;
     let model = model_of_case(case);
-    Setup { rig, sweep, specimen: model.clone(), model, case: Some(*case), seed: 1, name: "bench".to_owned() }
+    Setup {
+        rig,
+        sweep,
+        specimen: model.clone(),
+        model,
+        case: Some(*case),
+        safety: None,
+        seed: 1,
+        name: "bench".to_owned(),
+    }
 }
 
 /// Steps a controller in virtual time and gives its timing.

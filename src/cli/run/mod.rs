@@ -20,6 +20,7 @@ use crate::report::preview::preview_svg;
 use crate::report::{Table, of_run};
 use crate::rig::RigSpec;
 use crate::rig::hardware::HardwareMonitor;
+use crate::safety::SafetySpec;
 use crate::sweep::SweepSpec;
 use interrupt::Interrupts;
 use std::io::IsTerminal;
@@ -50,6 +51,9 @@ pub struct Args {
     /// --ag, and changes gap or bumpers of the model (and of what stands on the simulated table) as proposed.
     #[arg(long, value_name = "FILE.json", conflicts_with_all = ["sweep", "ag", "steps"])]
     next_test: Option<PathBuf>,
+    /// Safety file: detectors, action ladder, stops.
+    #[arg(long, default_value = "default")]
+    safety: String,
     /// Only the steps within this range of frequencies in Hz, as in 2.0..3.0.
     #[arg(long, value_parser = parse_range)]
     steps: Option<(f64, f64)>,
@@ -253,11 +257,20 @@ fn setup(args: &Args) -> Result<Setup, CliError> {
             by_hand(&setting, &model)?;
         }
     }
+    let safety: SafetySpec = find("safety", &args.safety).and_then(|source| source.parse()).map_err(usage)?;
+    if safety.supervision.operator_link {
+        return Err(CliError::usage(format!(
+            "{} asks for an operator's link (supervision.operator_link), and `run` hears none: \
+             `shaketable serve --safety {}` does, with `shaketable watch --heartbeat` as the link",
+            args.safety, args.safety
+        )));
+    }
     let name = args.name.clone().unwrap_or_else(|| match &named_case {
         Some(case) => case.to_string(),
         None => model.name.clone(),
     });
-    Ok(Setup { rig, sweep, model, specimen, case: named_case, seed: args.seed, name })
+    let safety = Some(safety);
+    Ok(Setup { rig, sweep, model, specimen, case: named_case, safety, seed: args.seed, name })
 }
 
 /// The test that a diagnosis proposed.

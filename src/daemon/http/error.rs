@@ -96,7 +96,7 @@ impl From<DeskError> for ApiError {
             DeskError::Work(error) => error.into(),
             DeskError::NotNow(_) | DeskError::Unchecked(_) | DeskError::Busy => Self::conflict(error),
             DeskError::Acknowledge(_) => Self::conflict(error),
-            DeskError::Start(_) => Self::conflict(error),
+            DeskError::Start(_) | DeskError::Silent(_) => Self::conflict(error),
         }
     }
 }

@@ -38,6 +38,7 @@ pub const ENDPOINTS: &[(&str, &str, Right)] = &[
     ("POST", "/api/v1/session/hold", Right::Operate),
     ("POST", "/api/v1/session/resume", Right::Operate),
     ("POST", "/api/v1/session/reset", Right::Operate),
+    ("POST", "/api/v1/session/alive", Right::Operate),
     ("GET", "/api/v1/setup", Right::View),
     ("GET", "/api/v1/catalogue", Right::View),
     ("PUT", "/api/v1/setup/sweep", Right::Operate),

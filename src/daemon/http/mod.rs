@@ -137,6 +137,7 @@ fn routes() -> OpenApiRouter<Arc<App>> {
         .routes(routes!(session::resume))
         .routes(routes!(session::stop))
         .routes(routes!(session::reset))
+        .routes(routes!(session::alive))
         .routes(routes!(setup::get))
         .routes(routes!(setup::catalogue))
         .routes(routes!(setup::sweep))

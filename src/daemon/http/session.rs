@@ -5,6 +5,7 @@ use super::error::{ApiError, Body, Problem};
 use super::gate::Caller;
 use crate::control::StepSummary;
 use crate::daemon::check::Checked;
+use crate::daemon::link::Heard;
 use crate::daemon::state::{Action, State as BenchState};
 use crate::daemon::status::Status;
 use axum::extract::State;
@@ -148,4 +149,10 @@ pub async fn reset(
 ) -> Result<Json<Now>, ApiError> {
     app.desk.reset(&caller.who, &acknowledge.cause)?;
     Ok(Json(Now { state: app.desk.state() }))
+}
+
+/// A sign of life of the operator's link; several a second, as long as someone watches over the table
+#[utoipa::path(post, path = "/api/v1/session/alive", tag = "session", responses((status = 200, body = Heard)))]
+pub async fn alive(State(app): State<Arc<App>>, Extension(caller): Extension<Caller>) -> Json<Heard> {
+    Json(app.desk.alive(&caller.who))
 }

@@ -1,4 +1,4 @@
-//! The operator's side, where a link to it is configured. Called by the watch once a control period.
+//! The operator's side, where a link to it is configured (SR-18). Called by the watch once a control period.
 
 use crate::safety::judge::Estimate;
 use crate::safety::observation::Period;
