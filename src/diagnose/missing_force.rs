@@ -100,7 +100,9 @@ pub fn map(problem: &Problem<'_>, refit: &Refit, part: Part) -> Option<MissingFo
             (n > 3).then(|| ((q / n as f64 - (s / n as f64).powi(2)).max(0.0) / (n as f64 - 1.0)).sqrt())
         }),
         explained_by_surface: (explained / total.max(1e-300)).clamp(0.0, 1.0),
-        power_in_contact: contact.iter().map(|s| s.force * s.force).sum::<f64>() / total.max(1e-300),
+        // The sum of nothing is minus zero.
+        power_in_contact: (contact.iter().map(|s| s.force * s.force).sum::<f64>() / total.max(1e-300))
+            .max(0.0),
         time_in_contact: contact.len() as f64 / count,
         trend: trend(&samples),
         expression: draft(&samples, dm, vm, total),

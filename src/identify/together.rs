@@ -98,6 +98,9 @@ impl Setting {
         let mut spec = spec.clone();
         if self.without_bumpers {
             spec.bumper = None;
+            if let Some(uncertainty) = &mut spec.uncertainty {
+                uncertainty.bumper = None;
+            }
             spec.effects.retain(|e| !effects::find(&e.name).is_ok_and(|effect| effect.needs_bumper()));
         }
         if let Some(bumper) = &mut spec.bumper {
@@ -185,6 +188,12 @@ mod tests {
         let wider = Setting::between(&near, &far).expect("another gap");
         assert!((wider.wider_m - 0.01).abs() < 1e-15 && !wider.without_bumpers);
         assert!(Setting::between(&near, &none).expect("no bumpers").without_bumpers);
+        // A model that says how sure it is of its bumpers is valid without them as well.
+        let text = include_str!("../../config/models/andreaus-2020-b2-g2.toml");
+        let published: ModelSpec = crate::config::parse_toml("b2-g2", text).expect("valid");
+        assert!(published.uncertainty.as_ref().is_some_and(|u| u.bumper.is_some()));
+        let off = Setting { without_bumpers: true, wider_m: 0.0 }.of(&published);
+        crate::config::Check::check(&off).expect("valid without bumpers");
         assert!(matches!(Setting::between(&none, &near), Err(TogetherError::BumpersFirst { .. })));
         let heavier = ModelSpec { mass_kg: 510.0, ..near.clone() };
         assert!(matches!(Setting::between(&near, &heavier), Err(TogetherError::OtherSpecimen { .. })));

@@ -26,7 +26,8 @@ pub fn page(title: &str, found: &Diagnosis) -> Result<Page, ReportError> {
         page.note(&format!("Next test: {} - {}.", test.title, test.reason));
     }
     ladder(&mut page, found)?;
-    steps(&mut page, &found.steps)?;
+    let bumpers = found.missing_force.as_ref().is_some_and(|force| force.time_in_contact > 0.0);
+    steps(&mut page, &found.steps, bumpers)?;
     tables(&mut page, found);
     if let Some(force) = &found.missing_force {
         missing(&mut page, force)?;
@@ -65,7 +66,7 @@ fn ladder(page: &mut Page, found: &Diagnosis) -> Result<(), ReportError> {
     )
 }
 
-fn steps(page: &mut Page, steps: &[StepErrors]) -> Result<(), ReportError> {
+fn steps(page: &mut Page, steps: &[StepErrors], bumpers: bool) -> Result<(), ReportError> {
     if steps.len() < 3 {
         return Ok(());
     }
@@ -94,7 +95,9 @@ fn steps(page: &mut Page, steps: &[StepErrors]) -> Result<(), ReportError> {
             kept,
         );
     }
-    page.figure(&chart, "Error step by step. With stiff bumpers the response is bistable in parts of a sweep: a simulation may leave on the other branch for reasons of noise alone.")
+    let jumps = " With stiff bumpers the response is bistable in parts of a sweep: a simulation may leave on the other branch \
+                 for reasons of noise alone.";
+    page.figure(&chart, &format!("Error step by step.{}", if bumpers { jumps } else { "" }))
 }
 
 fn tables(page: &mut Page, found: &Diagnosis) {
