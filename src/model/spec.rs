@@ -30,6 +30,7 @@ pub struct ModelSpec {
 pub struct IsolatorSpec {
     /// Slopes, N/m, one more than breakpoints; a single number is accepted.
     #[serde(with = "one_or_many")]
+    #[schema(value_type = one_or_many::OneOrMany, inline)]
     pub stiffness_n_m: Vec<f64>,
     /// Displacements where the slope changes, m, rising.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -84,6 +85,7 @@ pub struct Uncertainty {
 pub struct IsolatorUncertainty {
     /// Of each slope.
     #[serde(default, with = "one_or_many", skip_serializing_if = "Vec::is_empty")]
+    #[schema(value_type = one_or_many::OneOrMany, inline)]
     pub stiffness_n_m: Vec<f64>,
     /// Of each breakpoint.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -112,9 +114,10 @@ pub struct BumperUncertainty {
 mod one_or_many {
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-    #[derive(Deserialize)]
+    /// What a file may say, and what is written: one slope alone is written as a number.
+    #[derive(Deserialize, utoipa::ToSchema)]
     #[serde(untagged)]
-    enum OneOrMany {
+    pub enum OneOrMany {
         One(f64),
         Many(Vec<f64>),
     }
