@@ -30,7 +30,7 @@ pub struct ModelSpec {
 pub struct IsolatorSpec {
     /// Slopes, N/m, one more than breakpoints; a single number is accepted.
     #[serde(with = "one_or_many")]
-    #[schema(value_type = one_or_many::OneOrMany, inline)]
+    #[schema(value_type = one_or_many::OneOrMany)]
     pub stiffness_n_m: Vec<f64>,
     /// Displacements where the slope changes, m, rising.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -85,7 +85,7 @@ pub struct Uncertainty {
 pub struct IsolatorUncertainty {
     /// Of each slope.
     #[serde(default, with = "one_or_many", skip_serializing_if = "Vec::is_empty")]
-    #[schema(value_type = one_or_many::OneOrMany, inline)]
+    #[schema(value_type = one_or_many::OneOrMany)]
     pub stiffness_n_m: Vec<f64>,
     /// Of each breakpoint.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
