@@ -309,7 +309,7 @@ impl RunReport {
             (&displacement, "Displacement of the table about the first transition between two steps."),
             (
                 &acceleration,
-                "Acceleration about the same transition: smooth in the command, no spike in the table.",
+                "Acceleration about the same transition: smooth in the command, no spike in the table. The measured one has passed the band-pass, which leads at low frequencies.",
             ),
         ])
     }
