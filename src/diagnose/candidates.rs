@@ -47,9 +47,7 @@ pub fn scales(spec: &ModelSpec, motion: &Motion) -> Scales {
     scales.velocity_m_s = peak(&motion.velocity_m_s);
     scales.acceleration_m_s2 = peak(&motion.restoring_m_s2);
     scales.force_n = scales.mass_kg * scales.acceleration_m_s2;
-    let mut frequencies: Vec<f64> = motion.windows.iter().map(|w| w.frequency_hz).collect();
-    frequencies.sort_by(f64::total_cmp);
-    scales.frequency_hz = frequencies.get(frequencies.len() / 2).copied().unwrap_or(1.0);
+    scales.frequency_hz = motion.median_frequency_hz();
     scales.duration_s = motion.displacement_m.len() as f64 * motion.dt_s();
     scales.sample_period_s = motion.dt_s();
     if let Some(bumper) = &spec.bumper {

@@ -129,38 +129,41 @@ impl Composer<'_> {
     fn compose(&self, search: &Search, decision: Decision, findings: &[Finding]) -> Option<Diagnosis> {
         let problem = self.searcher.problem();
         let chosen = &decision.chosen;
-        let after = problem.output_error(&chosen.refit.spec, chosen.refit.zero_m, Part::HeldOut)?;
+        let all = |p: &Problem<'_>, refit: &Refit| p.output_errors(&refit.spec, refit.zero_m, Part::All);
+        // Response of both ends of the ladder, simulated once.
+        let (with, without) = (all(problem, &chosen.refit)?, all(problem, &search.base.refit));
+        let after = problem.sum(&with, Part::HeldOut)?;
         // As given means as measured: instruments uncorrected.
         let raw = if findings.is_empty() { None } else { self.raw_motion() };
         let raw_problem = raw
             .as_ref()
             .map(|motion| Problem::new(motion, self.nominal, self.options.effort.fitting_samples));
         let before_problem = raw_problem.as_ref().unwrap_or(problem);
-        let error = |p: &Problem<'_>, spec: &ModelSpec, zero: f64, part: Part| {
-            p.output_error(spec, zero, part).map_or(f64::INFINITY, |e| nrmse(&e))
-        };
         let reidentified = match &raw_problem {
-            Some(raw) => trial::base(raw, self.nominal, self.searcher.stride())?,
-            None => search.base.clone(),
+            Some(raw) => all(raw, &trial::base(raw, self.nominal, self.searcher.stride())?.refit),
+            None => without.clone(),
         };
-        let rung = |model: &str, p: &Problem<'_>, spec: &ModelSpec, zero: f64| Rung {
-            model: model.to_owned(),
-            training: error(p, spec, zero, Part::Training),
-            held_out: error(p, spec, zero, Part::HeldOut),
+        let rung = |model: &str, p: &Problem<'_>, errors: Option<&[(usize, OutputError)]>| {
+            let error =
+                |part| errors.and_then(|errors| p.sum(errors, part)).map_or(f64::INFINITY, |e| nrmse(&e));
+            Rung { model: model.to_owned(), training: error(Part::Training), held_out: error(Part::HeldOut) }
         };
+        let given = before_problem.output_errors(self.nominal, 0.0, Part::All);
         let mut ladder = vec![
-            rung("as given", before_problem, self.nominal, 0.0),
-            rung("re-identified", before_problem, &reidentified.refit.spec, reidentified.refit.zero_m),
+            rung("as given", before_problem, given.as_deref()),
+            rung("re-identified", before_problem, reidentified.as_deref()),
         ];
         if !findings.is_empty() {
             let label =
                 format!("+ {}", findings.iter().map(|f| f.name.as_str()).collect::<Vec<_>>().join(" + "));
-            ladder.push(rung(&label, problem, &search.base.refit.spec, search.base.refit.zero_m));
+            ladder.push(rung(&label, problem, without.as_deref()));
         }
         for stage in &search.stages {
             if let Some(trial) = stage.finalists.iter().find(|t| chosen.names.starts_with(&t.names)) {
                 let label = format!("+ {}", verdict::last_name(trial));
-                ladder.push(rung(&label, problem, &trial.refit.spec, trial.refit.zero_m));
+                let own =
+                    if trial.names == chosen.names { Some(with.clone()) } else { all(problem, &trial.refit) };
+                ladder.push(rung(&label, problem, own.as_deref()));
             }
         }
         let verdict = match (decision.verdict, findings.is_empty()) {
@@ -185,7 +188,7 @@ impl Composer<'_> {
             next_test: if verdict == Verdict::Ambiguous { self.next_test(search, &decision) } else { None },
             ambiguous_with: decision.ambiguous_with,
             missing_force: missing_force::map(problem, &search.base.refit, Part::All),
-            steps: self.steps(problem, &search.base.refit, &chosen.refit),
+            steps: self.steps(&without.unwrap_or_default(), &with),
             ladder,
             reidentified: self.reidentified(&chosen.refit),
             not_identifiable: self.not_identifiable(&chosen.refit),
@@ -287,20 +290,25 @@ impl Composer<'_> {
         next_test::propose((&chosen.0, chosen.1), (&verdict::last_name(rival), &rival.refit), &reach)
     }
 
-    fn steps(&self, problem: &Problem<'_>, without: &Refit, with: &Refit) -> Vec<StepErrors> {
-        let errors = |refit: &Refit| problem.output_errors(&refit.spec, refit.zero_m, Part::All);
-        let (Some(without), Some(with)) = (errors(without), errors(with)) else { return Vec::new() };
-        let step = |((k, without), (_, with)): ((usize, OutputError), (usize, OutputError))| {
-            let window = &self.motion.windows[k];
+    /// The errors step by step; none when one of the two leaves the finite numbers.
+    fn steps(&self, without: &[(usize, OutputError)], with: &[(usize, OutputError)]) -> Vec<StepErrors> {
+        let finite = |errors: &[(usize, OutputError)]| {
+            self.motion.kind == Kind::Component || errors.iter().all(|(_, error)| error.is_finite())
+        };
+        if !finite(without) || !finite(with) {
+            return Vec::new();
+        }
+        let step = |((k, without), (_, with)): (&(usize, OutputError), &(usize, OutputError))| {
+            let window = &self.motion.windows[*k];
             StepErrors {
                 step: window.step,
                 frequency_hz: window.frequency_hz,
                 held_out: window.held_out,
-                reidentified: nrmse(&without),
-                after: nrmse(&with),
+                reidentified: nrmse(without),
+                after: nrmse(with),
             }
         };
-        without.into_iter().zip(with).map(step).collect()
+        without.iter().zip(with).map(step).collect()
     }
 
     fn reidentified(&self, refit: &Refit) -> Vec<Reidentified> {

@@ -76,9 +76,7 @@ impl Basis {
             let windows = motion.windows.iter().flat_map(|w| &x[w.range.clone()]);
             windows.fold(1e-300_f64, |top, x| top.max(x.abs()))
         };
-        let mut frequencies: Vec<f64> = motion.windows.iter().map(|w| w.frequency_hz).collect();
-        frequencies.sort_by(f64::total_cmp);
-        let frequency_hz = frequencies.get(frequencies.len() / 2).copied().unwrap_or(1.0).max(1e-9);
+        let frequency_hz = motion.median_frequency_hz().max(1e-9);
         Self {
             displacement_m: largest(&motion.displacement_m),
             velocity_m_s: largest(&motion.velocity_m_s),

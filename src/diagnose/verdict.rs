@@ -126,12 +126,12 @@ pub fn decide(search: &Search, structure: impl Fn(&Trial) -> Structure, threshol
         ambiguous_with = rivals;
     }
     let excess = taken.excess();
-    let (of_base, of_taken) = (structure(base).explained, structure(&taken).explained);
+    let of_base = structure(base).explained;
     // Where the flexible model sees most of what the base lacks, what it still sees is what is left. Where it does not,
     // the covariance of neighbouring residuals has to do.
-    let seen = of_base > 0.5 * base.force.excess;
+    let seen = !taken.names.is_empty() && of_base > 0.5 * base.force.excess;
     let share = taken.share_left(base);
-    let left = if seen { share.min(of_taken / of_base.max(1e-300)) } else { share };
+    let left = if seen { share.min(structure(&taken).explained / of_base.max(1e-300)) } else { share };
     let verdict = if taken.names.is_empty() {
         // Nothing in the catalogue helps; is anything left at all?
         let structured = of_base > STRUCTURED * excess || excess > UNMISTAKABLE;

@@ -127,6 +127,13 @@ impl Motion {
         self.rms(&self.restoring_m_s2)
     }
 
+    /// Typical frequency: the median over the windows, 1 Hz without any.
+    pub fn median_frequency_hz(&self) -> f64 {
+        let mut frequencies: Vec<f64> = self.windows.iter().map(|w| w.frequency_hz).collect();
+        frequencies.sort_by(f64::total_cmp);
+        frequencies.get(frequencies.len() / 2).copied().unwrap_or(1.0)
+    }
+
     /// RMS of a channel in the windows.
     pub fn rms(&self, channel: &[f64]) -> f64 {
         let (mut sum, mut count) = (0.0, 0usize);

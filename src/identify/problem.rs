@@ -88,6 +88,11 @@ impl OutputError {
         }
     }
 
+    /// Both errors are finite.
+    pub fn is_finite(&self) -> bool {
+        self.sum_a.is_finite() && self.sum_d.is_finite()
+    }
+
     /// Normalised RMS error of A.
     pub fn nrmse_a(&self) -> f64 {
         (self.sum_a / self.power_a.max(1e-300)).sqrt()
@@ -370,11 +375,18 @@ impl<'a> Problem<'a> {
     /// Errors of the simulated response over the windows of a part; `None` when the model cannot
     /// be built or leaves the finite numbers. For a component record A is the force.
     pub fn output_error(&self, spec: &ModelSpec, shift_m: f64, part: Part) -> Option<OutputError> {
-        let errors = self.output_errors(spec, shift_m, part)?;
-        Some(errors.into_iter().fold(OutputError::default(), |sum, (_, error)| sum.with(&error)))
+        self.sum(&self.output_errors(spec, shift_m, part)?, part)
     }
 
-    /// The same window by window, each with its number.
+    /// The sum over those windows that belong to a part; `None` when it leaves the finite numbers.
+    pub fn sum(&self, errors: &[(usize, OutputError)], part: Part) -> Option<OutputError> {
+        let motion = self.motion;
+        let of_part = errors.iter().filter(|(k, _)| part.takes(&motion.windows[*k]));
+        let sum = of_part.fold(OutputError::default(), |sum, (_, error)| sum.with(error));
+        (motion.kind == Kind::Component || sum.is_finite()).then_some(sum)
+    }
+
+    /// The errors window by window, each with its number; `None` when the model cannot be built.
     pub fn output_errors(
         &self,
         spec: &ModelSpec,
@@ -397,8 +409,7 @@ impl<'a> Problem<'a> {
             return Some(windows.map(force).collect());
         }
         let mut specimens = self.specimens(spec, motion.dt_s())?;
-        let mut out = Vec::new();
-        for (k, window) in windows {
+        let response = |(k, window): (usize, &Window)| {
             let mut error = OutputError::default();
             let laser = motion.laser_m.get(window.range.clone()).unwrap_or(&[]);
             let mean = laser.iter().sum::<f64>() / laser.len().max(1) as f64;
@@ -411,12 +422,9 @@ impl<'a> Problem<'a> {
                 }
                 error.count += 1;
             });
-            if !(error.sum_a.is_finite() && error.sum_d.is_finite()) {
-                return None;
-            }
-            out.push((k, error));
-        }
-        Some(out)
+            (k, error)
+        };
+        Some(windows.map(response).collect())
     }
 }
 

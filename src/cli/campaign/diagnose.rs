@@ -1,13 +1,13 @@
 //! `campaign diagnose`: what the peaks of all cells say about the model.
 
 use super::{Place, refused};
+use crate::campaign::Store;
 use crate::campaign::diagnose::{Diagnosis, Given, diagnose};
 use crate::campaign::fit::{Cell, Effort, cells};
 use crate::campaign::ladder::{Depth, Rung};
 use crate::campaign::odd::Odd;
 use crate::campaign::peaks::repeatability;
 use crate::campaign::tables::{Origin, Problem, Study};
-use crate::campaign::{Configuration, Store};
 use crate::cli::{CliError, Outcome};
 use crate::report::Table;
 use indicatif::ProgressBar;
@@ -16,10 +16,7 @@ use indicatif::ProgressBar;
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    place: Place,
-    /// Whose peaks: of the published table, or measured in this campaign.
-    #[arg(long = "of", value_enum, default_value = "published")]
-    origin: Of,
+    peaks: Whose,
     /// Only these bumpers, as in B0,B1,B2; without it those whose numbers are not assumed.
     #[arg(long, value_delimiter = ',')]
     bumpers: Vec<String>,
@@ -32,25 +29,36 @@ pub struct Args {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub(super) enum Of {
+enum Of {
     Published,
     Measured,
 }
 
-impl Of {
-    /// The study of the campaign, with the results that these peaks come from.
-    pub(super) fn study(self, configuration: Configuration, store: &Store) -> Result<Study, CliError> {
-        let results = match self {
-            Self::Measured => store.results(&configuration).map_err(refused)?,
-            Self::Published => Vec::new(),
+/// A campaign and the peaks in it that a model is identified on.
+#[derive(Debug, clap::Args)]
+pub(super) struct Whose {
+    #[command(flatten)]
+    place: Place,
+    /// Whose peaks: of the published table, or measured in this campaign.
+    #[arg(long = "of", value_enum, default_value = "published")]
+    of: Of,
+}
+
+impl Whose {
+    /// The study of the campaign with the results that these peaks come from, and where it is kept.
+    pub(super) fn study(&self) -> Result<(Study, Store), CliError> {
+        let (configuration, store) = self.place.open()?;
+        let results = match self.of {
+            Of::Measured => store.results(&configuration).map_err(refused)?,
+            Of::Published => Vec::new(),
         };
-        Ok(Study::new(configuration, &results))
+        Ok((Study::new(configuration, &results), store))
     }
 
-    pub(super) fn origin(self) -> Origin {
-        match self {
-            Self::Published => Origin::Published,
-            Self::Measured => Origin::Measured,
+    pub(super) fn origin(&self) -> Origin {
+        match self.of {
+            Of::Published => Origin::Published,
+            Of::Measured => Origin::Measured,
         }
     }
 }
@@ -60,9 +68,8 @@ impl Of {
 /// # Errors
 /// No peaks to judge, or a model that cannot be simulated.
 pub(super) fn execute(args: Args) -> Result<Outcome, CliError> {
-    let (configuration, store) = args.place.open()?;
-    let study = args.origin.study(configuration, &store)?;
-    let origin = args.origin.origin();
+    let (study, _) = args.peaks.study()?;
+    let origin = args.peaks.origin();
     let given = given(&study, &args)?;
     let jobs = crate::parallel::cores();
     let depth =
@@ -90,8 +97,8 @@ pub(super) fn execute(args: Args) -> Result<Outcome, CliError> {
 
 /// The peaks that were asked for.
 fn given(study: &Study, args: &Args) -> Result<Given, CliError> {
-    let origin = args.origin.origin();
-    let scatter = match args.origin {
+    let origin = args.peaks.origin();
+    let scatter = match args.peaks.of {
         Of::Published => [0.08; 3],
         // The steps of the sweep are what limits nu_R; the peaks repeat within a per cent.
         Of::Measured => [0.01, 0.01, 0.03],

@@ -1,6 +1,6 @@
 //! `campaign optimise`: the design map of both problems.
 
-use super::{Place, diagnose::Of, refused};
+use super::{diagnose::Whose, refused};
 use crate::campaign::fit::{Cell, cells};
 use crate::campaign::optimise::{Design, Map, Optimum, Space, geometric, linear, optimise};
 use crate::campaign::store::write_whole;
@@ -14,10 +14,7 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    place: Place,
-    /// Peaks that the model is identified on first: of the published table, or measured in this campaign.
-    #[arg(long = "of", value_enum, default_value = "published")]
-    origin: Of,
+    peaks: Whose,
     /// Effects added to the model, as `campaign diagnose` names them.
     #[arg(long, value_delimiter = ',')]
     effects: Vec<String>,
@@ -55,14 +52,13 @@ fn grid(text: &str) -> Result<(usize, usize), String> {
 /// # Errors
 /// No peaks, an unknown effect, a model that cannot be simulated, files that cannot be written.
 pub(super) fn execute(args: Args) -> Result<Outcome, CliError> {
-    let (configuration, store) = args.place.open()?;
-    let study = args.origin.study(configuration, &store)?;
+    let (study, store) = args.peaks.study()?;
     let names = args.effects.iter().map(|name| effects::find(name).map(|effect| effect.name));
     let names: Vec<&'static str> = names.collect::<Result<_, _>>().map_err(CliError::usage)?;
     let spec = &study.configuration.spec;
     // Bumpers whose numbers were only assumed would be identified on entries that fit no trend.
     let identified = |cell: &Cell| !spec.bumper[cell.case.bumper].assumed;
-    let mut peaks = cells(&study.configuration, study.of(args.origin.origin()));
+    let mut peaks = cells(&study.configuration, study.of(args.peaks.origin()));
     peaks.retain(identified);
     if peaks.is_empty() {
         return Err(CliError::failed("no peaks to identify the model on"));
