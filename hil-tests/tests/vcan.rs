@@ -165,9 +165,10 @@ fn our_master_drives_the_independent_node() {
         let reached = number(&seen, key);
         assert!((reached - sign * counts).abs() < 0.01 * counts, "{key} {reached}");
     }
-    // No step larger than the sine's steepest cycle, with a skipped one or two allowed for.
-    let steepest = counts * TAU * FREQUENCY_HZ * 0.010;
-    assert!(number(&seen, "largest_step") < 3.0 * steepest, "{seen}");
+    // No jump: over any two cycles the targets go no faster than twice the sine's steepest slope.
+    let steepest = counts * TAU * FREQUENCY_HZ;
+    let speed = number(&seen, "largest_speed");
+    assert!(speed > 0.9 * steepest && speed < 2.0 * steepest, "{speed} counts/s beside {steepest}: {seen}");
     assert_eq!(seen["rpdo_deadline_ms"], 35);
     assert_eq!(seen["heartbeat_consumer"], 126 << 16 | 40);
     assert_eq!((&seen["abort_option"], &seen["mode"]), (&Value::from(3), &Value::from(8)));
@@ -197,6 +198,7 @@ fn the_independent_master_drives_our_emulator() {
     ];
     assert_eq!(result["states"], json!(walk));
     assert!((number(&result, "position") - 20_000.0).abs() < 20.0, "{result}");
+    assert_eq!(result["emergencies_before"], json!([]), "it holds as long as the heartbeat comes");
     assert_eq!(result["emergencies"], json!([0x8130]), "the lost heartbeat is told");
     drop(lab);
 }
@@ -258,7 +260,10 @@ fn a_killed_host_leaves_the_drive_in_quick_stop_within_50_ms() {
         return shake(&mut drive, clock, |drive, _| drive.fault().is_some());
     }
     let mut measured = Vec::new();
+    let mut attempts = 0;
     while measured.len() < 5 {
+        attempts += 1;
+        assert!(attempts <= 15, "this machine stood still too often: {measured:?}");
         let lab = lab(8, vec![]);
         let mut victim = Command::new(std::env::current_exe().expect("this binary"))
             .args(["a_killed_host", "--ignored", "--nocapture"])
@@ -269,11 +274,18 @@ fn a_killed_host_leaves_the_drive_in_quick_stop_within_50_ms() {
         let lines = BufReader::new(victim.stdout.take().expect("a pipe")).lines();
         let moving = lines.map_while(Result::ok).any(|line| line.contains("moving"));
         assert!(moving, "the victim never moved");
-        until("the table moves", || lab.report().demand.velocity_m_s.abs() > 0.01);
+        let moving = || lab.report().demand.velocity_m_s.abs() > 0.01;
+        let stopped = || lab.report().drive == State::QuickStopActive;
+        until("the table moves", || moving() || stopped());
+        let stalled = stopped();
         // SIGKILL: nothing of the host runs after it.
         victim.kill().expect("killed");
         victim.wait().expect("gone");
-        until("the drive stops by itself", || lab.report().drive == State::QuickStopActive);
+        if stalled {
+            // A stall of the machine stopped the drive before the host was killed.
+            continue;
+        }
+        until("the drive stops by itself", stopped);
         until("the table rests", || lab.report().demand.velocity_m_s == 0.0);
         measured.push(1e3 * lab.report().stopped_itself_after_s.expect("it stopped by itself"));
     }

@@ -13,8 +13,10 @@ import od
 
 INTERFACE, NODE = sys.argv[1], int(sys.argv[2])
 seen = {"states": ["SWITCH ON DISABLED"], "syncs": 0, "targets": 0, "max_target": 0, "min_target": 0, "host_heartbeats": 0,
-        "velocity_mismatch": 0.0, "largest_step": 0, "rpdo_deadline_ms": None, "heartbeat_consumer": None,
+        "velocity_mismatch": 0.0, "largest_speed": 0, "rpdo_deadline_ms": None, "heartbeat_consumer": None,
         "abort_option": None, "mode": None, "worst_heartbeat_gap_ms": 0.0}
+# The last two targets with the times of their SYNCs: a cycle that came late is no jump.
+past = []
 state = {"word": 0x40, "position": 0, "target": 0, "velocity": 0, "control": 0, "last_heartbeat": None}
 
 # Transitions of CiA 402-2 by (status pattern, test of the controlword).
@@ -41,7 +43,7 @@ def next_word(word, control):
     return word
 
 
-def on_sync(_id, _data, _time):
+def on_sync(_id, _data, stamp):
     seen["syncs"] += 1
     state["control"] = node.rpdo[1][0x6040].raw
     target, velocity = node.rpdo[1][0x607A].raw, node.rpdo[2][0x60B1].raw
@@ -50,9 +52,10 @@ def on_sync(_id, _data, _time):
         seen["states"].append(NAMES[word])
         state["word"] = word
     if word == 0x37:
-        step = target - state["target"] if seen["targets"] else 0
-        if seen["targets"]:
-            seen["largest_step"] = max(seen["largest_step"], abs(step))
+        past.append((stamp, target))
+        if len(past) > 2:
+            earlier, from_target = past.pop(0)
+            seen["largest_speed"] = max(seen["largest_speed"], abs(target - from_target) / max(stamp - earlier, 0.02))
         seen["targets"] += 1
         seen["max_target"], seen["min_target"] = max(seen["max_target"], target), min(seen["min_target"], target)
         state["target"], state["velocity"], state["position"] = target, velocity, target

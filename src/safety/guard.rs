@@ -102,6 +102,8 @@ pub struct Guard {
     tripped_at: Option<u64>,
     snapshot_periods: u64,
     outcome: Option<Outcome>,
+    /// The outcome was noted with no fault latched: one that comes before the record ends still counts.
+    ended_well: bool,
     told: Findings,
 }
 
@@ -139,6 +141,7 @@ impl Guard {
             tripped_at: None,
             snapshot_periods: periods(super::SNAPSHOT_S),
             outcome: None,
+            ended_well: false,
             told: Findings::default(),
         }
     }
@@ -438,7 +441,7 @@ impl Guard {
         let at_once = self.begin == Begin::AtOnce && self.cause().is_some();
         let outcome = match (before, self.supervisor.state()) {
             (_, State::Aborted) => Some(Outcome::Aborted),
-            (_, State::Faulted) if at_once => Some(Outcome::Aborted),
+            (_, State::Faulted) if at_once || self.ended_well => Some(Outcome::Aborted),
             (State::Running | State::Holding, State::Idle) => Some(Outcome::Done),
             (State::Faulted | State::Stopping | State::Armed | State::Idle, State::Faulted | State::Idle)
                 if self.stop_asked =>
@@ -450,8 +453,10 @@ impl Guard {
         // SR-02: a fault after the last command latches as well.
         if outcome == Some(Outcome::Aborted) {
             self.outcome = outcome;
+        } else if self.outcome.is_none() && outcome.is_some() {
+            self.outcome = outcome;
+            self.ended_well = self.supervisor.state() == State::Idle;
         }
-        self.outcome = self.outcome.or(outcome);
     }
 
     /// How the run ended, once the table is at rest and what follows a fault has been recorded.
