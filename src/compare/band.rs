@@ -46,6 +46,20 @@ impl Band {
         }
     }
 
+    /// [`Band::filter`] of two channels at once, neither of which then waits for the other.
+    pub fn filter_pair(&self, one: &mut [f64], two: &mut [f64], rate: f64) {
+        let mut passes = [self.pass(rate), self.pass(rate)];
+        let common = one.len().min(two.len());
+        let (one, one_rest) = one.split_at_mut(common);
+        let (two, two_rest) = two.split_at_mut(common);
+        for (x, y) in one.iter_mut().zip(two) {
+            (*x, *y) = (passes[0].process(*x), passes[1].process(*y));
+        }
+        for (pass, rest) in passes.iter_mut().zip([one_rest, two_rest]) {
+            rest.iter_mut().for_each(|x| *x = pass.process(*x));
+        }
+    }
+
     /// Share of the power of white noise that passes.
     pub fn noise_share(&self, rate: f64) -> f64 {
         let pass = self.pass(rate);

@@ -195,7 +195,8 @@ fn judge(record: &Record, spec: &ModelSpec) -> Result<Comparison, CompareError> 
         );
     }
     let band = if held { Band::of(record, &windows) } else { None };
-    let hiss = response::drive_noise(&measured, noise::of_input(record));
+    let input_noise = noise::of_input(record);
+    let hiss = response::drive_noise(&measured, input_noise);
     let (simulated, hissing, force, floor) = std::thread::scope(|scope| {
         let hissing = scope.spawn(|| {
             if hiss.is_empty() {
@@ -206,7 +207,7 @@ fn judge(record: &Record, spec: &ModelSpec) -> Result<Comparison, CompareError> 
             Some(channels)
         });
         let rest = scope.spawn(|| {
-            let floor = noise::in_band(record, &windows, band.as_ref());
+            let floor = noise::in_band(record, &windows, band.as_ref(), input_noise);
             (force::residual(&measured, spec, &windows), floor)
         });
         let simulated = simulate(&measured, spec, band.as_ref());
@@ -279,7 +280,8 @@ fn simulate(
 
 fn filter(channels: [&mut Vec<f64>; 2], band: Option<&Band>, rate: f64) {
     if let Some(band) = band {
-        channels.into_iter().for_each(|channel| band.filter(channel, rate));
+        let [one, two] = channels;
+        band.filter_pair(one, two, rate);
     }
 }
 

@@ -33,7 +33,7 @@ pub struct NoiseFloor {
 pub fn noise_floor(record: &Record) -> NoiseFloor {
     let windows = windows(record);
     let band = Band::of(record, &windows);
-    in_band(record, &windows, band.as_ref())
+    in_band(record, &windows, band.as_ref(), of_input(record))
 }
 
 /// White noise of the channel that drives the model, over its whole band.
@@ -41,10 +41,10 @@ pub(super) fn of_input(record: &Record) -> f64 {
     white(record.input(), record.sample_rate_hz)
 }
 
-pub(super) fn in_band(record: &Record, windows: &[Window], band: Option<&Band>) -> NoiseFloor {
+/// [`noise_floor`] with windows, band and the noise of the input at hand.
+pub(super) fn in_band(record: &Record, windows: &[Window], band: Option<&Band>, input: f64) -> NoiseFloor {
     let rate = record.sample_rate_hz;
     let share = band.map_or(1.0, |band| band.noise_share(rate).sqrt());
-    let input = of_input(record);
     match record.kind {
         Kind::Base => NoiseFloor {
             acceleration_m_s2: accelerometers(record, windows, band, share),

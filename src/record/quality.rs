@@ -78,6 +78,10 @@ impl Finding {
 const FEWEST_CYCLES: f64 = 3.0;
 /// Samples that a record needs.
 const FEWEST_SAMPLES: usize = 64;
+/// Equal samples that make a standstill.
+const SHORTEST_STANDSTILL: usize = 50;
+/// Samples at its largest or smallest value that make a channel look saturated.
+const FEWEST_AT_THE_EDGE: usize = 8;
 
 /// All findings, the worst first; none on a sound record.
 pub fn examine(record: &Record) -> Vec<Finding> {
@@ -86,11 +90,12 @@ pub fn examine(record: &Record) -> Vec<Finding> {
     let has_length = short.is_none();
     findings.extend(short);
     for (role, values) in record.channels().filter(|(role, _)| *role != Role::Time) {
-        match constant(role, values) {
+        let range = span(values);
+        match constant(role, range) {
             Some(finding) => findings.push(finding),
             None => {
-                findings.extend(saturated(record, role, values));
-                findings.extend(stuck(record, role, values));
+                findings.extend(saturated(record, role, values, range));
+                findings.extend(stuck(record, role, values, range));
             }
         }
     }
@@ -145,12 +150,24 @@ fn cycles(input: &[f64]) -> f64 {
     0.5 * f64::from(halves)
 }
 
+/// Smallest and largest value, by lanes that do not wait for each other.
 fn span(values: &[f64]) -> (f64, f64) {
-    values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)))
+    const LANES: usize = 8;
+    let (mut low, mut high) = ([f64::INFINITY; LANES], [f64::NEG_INFINITY; LANES]);
+    let rows = values.chunks_exact(LANES);
+    let rest = rows.remainder();
+    for row in rows {
+        for (i, x) in row.iter().enumerate() {
+            low[i] = if *x < low[i] { *x } else { low[i] };
+            high[i] = if *x > high[i] { *x } else { high[i] };
+        }
+    }
+    let least = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = |values: &[f64]| values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    (least(&low).min(least(rest)), most(&high).max(most(rest)))
 }
 
-fn constant(role: Role, values: &[f64]) -> Option<Finding> {
-    let (low, high) = span(values);
+fn constant(role: Role, (low, high): (f64, f64)) -> Option<Finding> {
     let largest = low.abs().max(high.abs());
     (high - low <= 1e-9 * largest).then(|| {
         let text = format!("{} is constant at {low:.6e} {}", role.name(), role.unit());
@@ -161,24 +178,23 @@ fn constant(role: Role, values: &[f64]) -> Option<Finding> {
 /// A saturated sensor has many samples at exactly its largest (or smallest) value and few just below:
 /// of a sine that is cut at 99 %, 0.8 times as many at the top as in the 2 % of the range below; of a
 /// whole one, however coarsely quantised, 0.3 times at most when the band is 16 steps wide at least.
-fn saturated(record: &Record, role: Role, values: &[f64]) -> Option<Finding> {
-    let (low, high) = span(values);
+fn saturated(record: &Record, role: Role, values: &[f64], (low, high): (f64, f64)) -> Option<Finding> {
+    let at = [high, low].map(|extreme| values.iter().map(|x| usize::from(*x == extreme)).sum::<usize>());
+    if at.iter().all(|count| *count < FEWEST_AT_THE_EDGE) {
+        return None;
+    }
     let quantum = quantum(values, high - low);
     let band = (0.02 * (high - low)).max(16.0 * quantum);
     if band > 0.25 * (high - low) {
         return None;
     }
-    let (mut at, mut near) = ([0usize; 2], [0usize; 2]);
+    let mut near = [0usize; 2];
     for &x in values {
         for (side, distance) in [high - x, x - low].into_iter().enumerate() {
-            if distance <= 0.0 {
-                at[side] += 1;
-            } else if distance < band {
-                near[side] += 1;
-            }
+            near[side] += usize::from(distance > 0.0 && distance < band);
         }
     }
-    let cut = |side: usize| at[side] >= 8 && at[side] as f64 > 0.6 * near[side] as f64;
+    let cut = |side: usize| at[side] >= FEWEST_AT_THE_EDGE && at[side] as f64 > 0.6 * near[side] as f64;
     if !cut(0) && !cut(1) {
         return None;
     }
@@ -230,7 +246,13 @@ pub fn white_noise(values: &[f64]) -> f64 {
 
 /// The longest stretch of equal values inside the record, if the input moves on during it while the
 /// channel elsewhere never holds still.
-fn stuck(record: &Record, role: Role, values: &[f64]) -> Option<Finding> {
+fn stuck(record: &Record, role: Role, values: &[f64], (bottom, top): (f64, f64)) -> Option<Finding> {
+    // A run that counts covers two places of this comb.
+    let comb = SHORTEST_STANDSTILL / 2 - 1;
+    let stands = |k: usize| values[k + 1..=k + comb].iter().all(|x| *x == values[k]);
+    if !(0..values.len().saturating_sub(comb)).step_by(comb).any(stands) {
+        return None;
+    }
     let (mut first, mut best, mut still) = (0, 0..0usize, 0usize);
     for run in values.chunk_by(|a, b| a == b) {
         let end = first + run.len();
@@ -242,13 +264,12 @@ fn stuck(record: &Record, role: Role, values: &[f64]) -> Option<Finding> {
         first = end;
     }
     let elsewhere = (still + 1).saturating_sub(best.len()) as f64 / values.len() as f64;
-    if best.len() < 50 || elsewhere > 0.5 || std::ptr::eq(values, record.input()) {
+    if best.len() < SHORTEST_STANDSTILL || elsewhere > 0.5 || std::ptr::eq(values, record.input()) {
         return None;
     }
     let (low, high) = span(record.input());
     let (least, most) = span(&record.input()[best.clone()]);
     let moves = most - least > 0.25 * (high - low);
-    let (bottom, top) = span(values);
     let held = values[best.start];
     // A held extreme value is saturation, which has been named.
     let extreme = held <= bottom || held >= top;

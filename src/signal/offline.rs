@@ -85,6 +85,9 @@ pub fn fundamental_hz(samples: &[f64], sample_rate_hz: f64) -> Option<f64> {
     fundamental(samples, sample_rate_hz).map(|(hz, _)| hz)
 }
 
+/// Drift of the phase below which the frequency is what rounding leaves of it, rad.
+const SETTLED_RAD: f64 = 1e-12;
+
 /// Frequency (Hz) and phase (rad, of a sine, at the first sample).
 ///
 /// Rising crossings of a level zone give a first value; the drift of the phase between the Hann-windowed
@@ -99,6 +102,9 @@ pub(crate) fn fundamental(samples: &[f64], sample_rate_hz: f64) -> Option<(f64, 
         );
         let drift_rad = (b * a.conj()).arg();
         hz += drift_rad / TAU * sample_rate_hz / half as f64;
+        if drift_rad.abs() < SETTLED_RAD {
+            break;
+        }
     }
     let whole = phasor(samples, 0, hz, sample_rate_hz);
     let valid = hz.is_finite() && hz > 0.0 && hz < 0.5 * sample_rate_hz && whole.norm() > 0.0;
