@@ -53,12 +53,12 @@ pub fn sin_cos(x: f64) -> (f64, f64) {
     let half = 0.5 * z;
     let near = 1.0 - half;
     let cos = near + (((1.0 - near) - half) + z * z * polynomial(z, &COSINE));
-    match turns as i64 & 3 {
-        0 => (sin, cos),
-        1 => (cos, -sin),
-        2 => (-sin, -cos),
-        _ => (-cos, sin),
-    }
+    // By bits, since which quarter it is cannot be foreseen: swapped where it is odd, signs where it is late.
+    let quarter = turns as i64 as u64;
+    let (sin, cos) = (sin.to_bits(), cos.to_bits());
+    let swap = (sin ^ cos) & (quarter & 1).wrapping_neg();
+    let sign = |quarter: u64| (quarter & 2) << 62;
+    (f64::from_bits(sin ^ swap ^ sign(quarter)), f64::from_bits(cos ^ swap ^ sign(quarter.wrapping_add(1))))
 }
 
 /// Exponential.

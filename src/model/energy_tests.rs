@@ -12,7 +12,7 @@ type Candidate<'a> = (&'a str, &'a [(&'a str, f64)], f64);
 
 /// Every effect that acts on the motion, at a strength from 0 to 1, and the part of the turnover that its ledger may
 /// miss: what is hidden is followed sample by sample here, by first-order rules where the motion has corners.
-fn candidates(strength: f64) -> Vec<(EffectSpec, f64)> {
+pub(super) fn candidates(strength: f64) -> Vec<(EffectSpec, f64)> {
     let s = strength;
     let list: [Candidate<'_>; 19] = [
         ("coulomb-friction", &[("fc_n", 60.0 * s)], 2e-6),

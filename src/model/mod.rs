@@ -22,6 +22,8 @@ pub mod sensitivity;
 pub mod simulate;
 pub mod spec;
 pub mod sweep;
+#[cfg(test)]
+mod symmetry_tests;
 pub mod system;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -124,7 +126,7 @@ pub fn build(spec: &ModelSpec, dt_s: f64) -> Result<Box<dyn Specimen>, ModelErro
 /// As [`build`].
 pub fn build_with(spec: &ModelSpec, dt_s: f64, options: &Options) -> Result<Box<dyn Specimen>, ModelError> {
     match exact::Exact::new(system::System::compile(spec, dt_s)?) {
-        Ok(exact) => Ok(Box::new(exact)),
+        Ok(exact) => Ok(Box::new(exact::Sampled::new(exact))),
         Err(system) => general::boxed(*system, options),
     }
 }

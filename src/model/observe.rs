@@ -136,6 +136,9 @@ impl DelayLine {
 
     /// Takes a value and returns the delayed one, `between` two kept values at a part of the interval.
     fn push(&mut self, value: [f64; 2], between: impl Fn([f64; 2], [f64; 2], f64) -> f64) -> f64 {
+        if self.delay == 0.0 {
+            return value[0];
+        }
         let length = self.values.len();
         self.newest = (self.newest + 1) % length;
         self.values[self.newest] = value;

@@ -5,6 +5,7 @@
 
 mod form;
 mod input;
+mod local;
 mod piece;
 mod propagator;
 #[cfg(test)]
@@ -14,9 +15,11 @@ mod sweep;
 #[cfg(test)]
 mod tests;
 mod vibration;
+mod zeros;
 
-pub(in crate::model) use form::{Form, zeros};
+pub(in crate::model) use form::Form;
 pub use input::{Input, Wave};
-pub use propagator::Exact;
+pub use propagator::{Exact, Sampled};
 pub(in crate::model) use segment::{Closed, Instant, ROW, Tables, Turns};
 pub(in crate::model) use sweep::Stretch;
+pub(in crate::model) use zeros::zeros;

@@ -11,15 +11,12 @@ const FASTEST: f64 = 1.0;
 /// Events within one sample before it is taken regardless.
 const PATIENCE: usize = 100;
 
-/// Exact solver of a piecewise-linear model.
+/// Exact solver of a piecewise-linear model, for ideal sweeps.
 pub struct Exact {
     /// Holds the compiled model, state and mode, and knows what follows an event.
     pub(super) core: General<2>,
     pub(super) pieces: Vec<Piece>,
-    holds: Vec<Transition>,
     pub(super) dt: f64,
-    /// 1/dt, 1/s.
-    rate: f64,
     friction: bool,
     /// Piece and regime of the present mode, kept beside it for samples without an event.
     current: (usize, Regime),
@@ -41,11 +38,9 @@ impl Exact {
         if fastest * dt > FASTEST {
             return Err(Box::new(system));
         }
-        let holds = pieces.iter().map(|piece| piece.hold(dt)).collect();
         let friction = system.friction.is_some();
         let core = General::new(system, &Options { tolerance: 1e-12 });
-        let mut exact =
-            Self { core, pieces, holds, dt, rate: 1.0 / dt, friction, current: (0, Regime::default()) };
+        let mut exact = Self { core, pieces, dt, friction, current: (0, Regime::default()) };
         exact.note_mode();
         Ok(exact)
     }
@@ -312,33 +307,50 @@ fn pieces(system: &System) -> Vec<Piece> {
     pieces
 }
 
-impl Specimen for Exact {
+/// The exact solver driven sample by sample.
+pub struct Sampled {
+    exact: Exact,
+    /// Transitions of all pieces under a first-order hold.
+    holds: Vec<Transition>,
+    /// 1/dt, 1/s.
+    rate: f64,
+}
+
+impl Sampled {
+    /// With the transitions that it steps by.
+    pub fn new(exact: Exact) -> Self {
+        let holds = exact.pieces.iter().map(|piece| piece.hold(exact.dt)).collect();
+        Self { rate: 1.0 / exact.dt, holds, exact }
+    }
+}
+
+impl Specimen for Sampled {
     fn reset(&mut self) {
-        self.core.reset();
-        self.note_mode();
+        self.exact.core.reset();
+        self.exact.note_mode();
     }
 
     fn step(&mut self, table_acceleration_m_s2: f64) -> Response {
-        let end = table_acceleration_m_s2;
-        let start = self.core.table().unwrap_or(end);
-        let [d, v] = *self.core.state();
-        let state = self.holds[self.current.0].apply(d, v, start, end);
-        self.sample(state, Line { start, slope: (end - start) * self.rate });
-        self.core.prime(end);
-        self.respond(end)
+        let (end, exact) = (table_acceleration_m_s2, &mut self.exact);
+        let start = exact.core.table().unwrap_or(end);
+        let [d, v] = *exact.core.state();
+        let state = self.holds[exact.current.0].apply(d, v, start, end);
+        exact.sample(state, Line { start, slope: (end - start) * self.rate });
+        exact.core.prime(end);
+        exact.respond(end)
     }
 
     fn impose(&mut self, relative_displacement_m: f64, relative_velocity_m_s: f64) -> Response {
-        let response = self.core.impose(relative_displacement_m, relative_velocity_m_s);
-        self.note_mode();
+        let response = self.exact.core.impose(relative_displacement_m, relative_velocity_m_s);
+        self.exact.note_mode();
         response
     }
 
     fn prime(&mut self, table_acceleration_m_s2: f64) {
-        self.core.prime(table_acceleration_m_s2);
+        self.exact.core.prime(table_acceleration_m_s2);
     }
 
     fn set_time_s(&mut self, time_s: f64) {
-        self.core.set_time_s(time_s);
+        self.exact.core.set_time_s(time_s);
     }
 }

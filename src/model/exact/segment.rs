@@ -53,13 +53,15 @@ pub struct Forcing {
 /// The motion from one event to the next. A held mass (dry friction) keeps its displacement, and its
 /// forced part is the table acceleration itself.
 #[derive(Clone, Copy, Debug)]
-pub struct Segment {
+pub struct Segment<'a> {
     /// The piece.
-    pub closed: Closed,
+    pub closed: &'a Closed,
     /// w, rad/s.
     pub angular_frequency: f64,
     /// Forced part at the beginning: Re(z exp(i w t)).
     forced: (f64, f64),
+    /// Amplitude of the forced part, m (or m/s2 while held).
+    pub amplitude: f64,
     /// Free state at the beginning.
     free: (f64, f64),
     /// Where friction holds the mass, m.
@@ -75,21 +77,23 @@ pub struct Instant {
     pub free: (f64, f64),
 }
 
-impl Segment {
+impl<'a> Segment<'a> {
     /// From displacement and velocity under a forcing.
-    pub fn new(closed: &Closed, (d, v): (f64, f64), forcing: Forcing, held: bool) -> Self {
+    pub fn new(closed: &'a Closed, (d, v): (f64, f64), forcing: Forcing, held: bool) -> Self {
         let w = forcing.angular_frequency;
+        let begin = |forced: (f64, f64), free, held| {
+            let amplitude = (forced.0 * forced.0 + forced.1 * forced.1).sqrt();
+            Self { closed, angular_frequency: w, forced, amplitude, free, held }
+        };
         if held {
-            let forced = (forcing.value, -forcing.quadrature);
-            return Self { closed: *closed, angular_frequency: w, forced, free: (0.0, 0.0), held: Some(d) };
+            return begin((forcing.value, -forcing.quadrature), (0.0, 0.0), Some(d));
         }
         // z = -(p - i q) / (w0^2 - w^2 + i c w).
         let (re, im) = (closed.piece.stiffness - w * w, closed.piece.damping * w);
         let inverse = 1.0 / (re * re + im * im);
         let (p, q) = (forcing.value, forcing.quadrature);
         let forced = ((q * im - p * re) * inverse, (q * re + p * im) * inverse);
-        let free = (d - closed.centre - forced.0, v + w * forced.1);
-        Self { closed: *closed, angular_frequency: w, forced, free, held: None }
+        begin(forced, (d - closed.centre - forced.0, v + w * forced.1), None)
     }
 
     /// The parts after a time, s.
@@ -170,12 +174,6 @@ impl Segment {
         }
         let piece = &self.closed.piece;
         -(piece.stiffness * d + piece.damping * v + piece.constant)
-    }
-
-    /// Amplitude of the forced part, m (or m/s2 while held).
-    #[inline]
-    pub fn forced_amplitude(&self) -> f64 {
-        (self.forced.0 * self.forced.0 + self.forced.1 * self.forced.1).sqrt()
     }
 
     /// Displacement, velocity and acceleration at samples from `first` s on, into columns of equal

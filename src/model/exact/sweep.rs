@@ -5,7 +5,7 @@ use super::form::{End, Form, Forms};
 use super::propagator::Exact;
 use super::segment::{Closed, Forcing, Segment};
 use crate::model::elementary::sin_cos;
-use crate::model::general::{Line, Mode, Sliding, guard};
+use crate::model::general::{GUARDS, Line, Mode, Sliding, guard};
 use crate::model::sweep::Plan;
 use std::f64::consts::TAU;
 
@@ -18,7 +18,7 @@ const PATIENCE: u32 = 600;
 /// A segment with the samples that it holds.
 pub struct Stretch<'a> {
     /// Motion in closed form.
-    pub segment: &'a Segment,
+    pub segment: &'a Segment<'a>,
     /// Index of the piece.
     pub piece: usize,
     /// Regime.
@@ -67,7 +67,9 @@ impl Exact {
         watch: &mut dyn FnMut(&Stretch<'_>),
     ) -> usize {
         let pace = Pace::new(plan.dt);
-        let mut run = Run { exact: self, closed, plan, next: 0, contacts: 0, touched: [false; 2], pace };
+        let memory = vec![None; closed.len() * GUARDS];
+        let mut run =
+            Run { exact: self, closed, plan, next: 0, contacts: 0, touched: [false; 2], pace, memory };
         for step in 0..plan.steps.len() {
             run.step(step, watch);
         }
@@ -77,7 +79,7 @@ impl Exact {
     }
 
     /// The segment that begins in the present state.
-    fn segment(&self, closed: &[Closed], forcing: Forcing) -> (usize, Segment) {
+    fn segment<'a>(&self, closed: &'a [Closed], forcing: Forcing) -> (usize, Segment<'a>) {
         let mode = self.core.mode();
         let piece = self.index(mode);
         let [d, v] = *self.core.state();
@@ -98,33 +100,33 @@ impl Exact {
             let tip = if free { self.tip(side, limit) } else { 0.0 };
             let moves = segment.held.is_none();
             if moves && knee.is_finite() && (tip > 0.0 || !free || knee <= gap) {
-                forms.push(segment, Form::of(segment, guard::KNEE_UP + side, knee, -sign, 0.0));
+                forms.push(Form::of(segment, guard::KNEE_UP + side, knee, -sign, 0.0));
             }
             if free && (tip > 0.0 || moves && gap < knee) {
                 let rest = if tip > 0.0 { system.bumper.rest_m() } else { 0.0 };
                 let form = Form::of(segment, guard::RIGHT + side, gap - rest, -sign, 0.0);
-                forms.push(segment, form.with_tip(tip + rest, system.bumper.relaxation_1_s()));
+                forms.push(form.with_tip(tip + rest, system.bumper.relaxation_1_s()));
             }
             if mode.contact[side] {
                 let (k, c, preload) =
                     (system.bumper.linear_n_m, system.bumper.damping_n_s_m, system.bumper.preload_n);
                 let force = preload - k * gap;
-                forms.push(segment, Form::of(segment, guard::RIGHT + side, force, sign * k, sign * c));
+                forms.push(Form::of(segment, guard::RIGHT + side, force, sign * k, sign * c));
                 if preload > 0.0 {
-                    forms.push(segment, Form::of(segment, guard::RIGHT + side, -gap, sign, 0.0));
+                    forms.push(Form::of(segment, guard::RIGHT + side, -gap, sign, 0.0));
                 }
             }
         }
         match mode.sliding {
             Sliding::Smooth => {}
             Sliding::Slip(sign) => {
-                forms.push(segment, Form::of(segment, guard::BEARINGS, 0.0, 0.0, f64::from(sign)));
+                forms.push(Form::of(segment, guard::BEARINGS, 0.0, 0.0, f64::from(sign)));
             }
             Sliding::Stick => {
                 let [pull, m] = [self.held_force_n(), system.mass_kg];
                 let holds = system.friction.map_or(0.0, |friction| friction.breakaway_n);
-                forms.push(segment, Form::of_table(guard::BEARINGS, holds - pull, -m));
-                forms.push(segment, Form::of_table(guard::BEARINGS, holds + pull, m));
+                forms.push(Form::of_table(guard::BEARINGS, holds - pull, -m));
+                forms.push(Form::of_table(guard::BEARINGS, holds + pull, m));
             }
         }
         forms
@@ -167,6 +169,9 @@ struct Run<'a, 'p> {
     contacts: usize,
     touched: [bool; 2],
     pace: Pace,
+    /// How the last segment of each piece ended (guard, s) that began by each guard: the next one may do the
+    /// same.
+    memory: Vec<Option<(usize, f64)>>,
 }
 
 /// Counts stretches that hardly take time, so that no run of them goes on for ever.
@@ -206,16 +211,17 @@ impl Run<'_, '_> {
         let spec = &self.plan.steps[step];
         let (amplitude, w) = (spec.acceleration_amplitude_m_s2, TAU * spec.frequency_hz);
         let duration = self.plan.end_of(step) - self.plan.starts[step];
-        let mut t = 0.0;
+        let (mut t, mut entered) = (0.0, None);
         while t < duration {
             let (sin, cos) = sin_cos(w * t);
             let (value, quadrature) = (amplitude * sin, amplitude * cos);
             let forcing = Forcing { value, quadrature, angular_frequency: w };
             let (piece, segment) = self.exact.segment(self.closed, forcing);
             let mut limit = duration - t;
-            let forms = self.exact.forms(&segment, &mut limit);
+            let mut forms = self.exact.forms(&segment, &mut limit);
+            let memory = entered.map(|guard| piece * GUARDS + guard);
             let end = match self.pace.forced(t) {
-                None => forms.first_failure(&segment, limit),
+                None => forms.first_failure(&segment, limit, memory.and_then(|place| self.memory[place])),
                 Some(regardless) => {
                     let time_s = regardless.min(duration - t);
                     End { guard: None, time_s, now: segment.at(time_s) }
@@ -229,7 +235,11 @@ impl Run<'_, '_> {
             let (d, v) = segment.state(&end.now);
             self.exact.core.place([d, v], length);
             t = if length >= duration - t { duration } else { t + length };
+            entered = end.guard;
             if let Some(guard) = end.guard {
+                if let Some(place) = memory {
+                    self.memory[place] = Some((guard, length));
+                }
                 let table = amplitude * sin_cos(w * t).0;
                 self.exact.core.enter([d, v], guard, 0.0, Line { start: table, slope: 0.0 });
             }

@@ -13,6 +13,8 @@ pub struct Vibration {
     kind: Kind,
     /// Largest value that [`Vibration::fundamental`]'s S takes, s.
     largest_s: f64,
+    /// w0 where the motion is a decaying oscillation whose envelope is close.
+    swinging: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -39,7 +41,8 @@ impl Vibration {
             let slow = stiffness / fast;
             (Kind::Over(slow, fast - slow), 1.0 / fast)
         };
-        Self { decay, stiffness, kind, largest_s }
+        let swinging = (difference > decay * decay).then(|| stiffness.sqrt());
+        Self { decay, stiffness, kind, largest_s, swinging }
     }
 
     /// C(t) and S(t) with z(t) = z0 C + (z0' + alpha z0) S and z'(t) = z0' C - (w0^2 z0 + alpha z0') S:
@@ -76,9 +79,24 @@ impl Vibration {
         -2.0 * self.decay * rate - self.stiffness * z
     }
 
-    /// What abs(z) never exceeds from a free state on.
+    /// What abs(z), abs(z'') and abs(z''') never exceed from a free state on. An oscillation is the real part
+    /// of Z exp(lambda t) with abs(lambda) = w0, so that one envelope bounds all of its derivatives.
     #[inline]
-    pub fn bound(&self, (z, rate): (f64, f64)) -> f64 {
+    pub fn bounds(&self, (z, rate): (f64, f64)) -> [f64; 3] {
+        if let (Some(w0), Kind::Under(_, inverse)) = (self.swinging, self.kind) {
+            let swing = (rate + self.decay * z) * inverse;
+            let envelope = (z * z + swing * swing).sqrt();
+            let second = self.stiffness * envelope;
+            return [envelope, second, w0 * second];
+        }
+        let second = self.curvature((z, rate));
+        let third = self.curvature((rate, second));
+        let fourth = self.curvature((second, third));
+        [(z, rate), (second, third), (third, fourth)].map(|state| self.bound(state))
+    }
+
+    /// What abs(z) never exceeds from a free state on.
+    fn bound(&self, (z, rate): (f64, f64)) -> f64 {
         let swing = rate + self.decay * z;
         if swing == 0.0 && !matches!(self.kind, Kind::Under(..)) {
             return z.abs();
@@ -110,11 +128,15 @@ mod tests {
         ] {
             let free = Vibration::new(decay, stiffness);
             let start = (0.01, -0.3);
-            let bound = free.bound(start);
+            let bounds = free.bounds(start);
             for i in 0..400 {
                 let t = 0.01 * f64::from(i);
                 let now = free.advance(start, free.fundamental(t));
-                assert!(now.0.abs() <= bound * (1.0 + 1e-12), "{decay} {stiffness} {t}");
+                let second = free.curvature(now);
+                let third = free.curvature((now.1, second));
+                for (value, bound) in [now.0, second, third].into_iter().zip(bounds) {
+                    assert!(value.abs() <= bound * (1.0 + 1e-12), "{decay} {stiffness} {t}");
+                }
                 // Two halves make the whole, and the rate is the derivative.
                 let half = free.fundamental(0.5 * t);
                 let twice = free.advance(free.advance(start, half), half);

@@ -15,7 +15,7 @@ mod specimen;
 mod tests;
 
 pub use dynamics::{Drive, Line, Mode, Motion, Sine, Sliding};
-pub(in crate::model) use events::guard;
+pub(in crate::model) use events::{GUARDS, guard};
 pub use specimen::General;
 
 use super::system::System;

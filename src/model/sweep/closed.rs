@@ -32,6 +32,10 @@ impl Rows {
     }
 }
 
+/// Where D and A turned last in a segment of one piece, s since its beginning: there they may do so again.
+#[derive(Clone, Copy, Default)]
+struct Last([Option<f64>; 2]);
+
 fn empty(plan: &Plan<'_>) -> SweepResponse {
     SweepResponse { peaks: vec![StepPeaks::NONE; plan.steps.len()], contacts: 0, samples: plan.samples() }
 }
@@ -39,9 +43,11 @@ fn empty(plan: &Plan<'_>) -> SweepResponse {
 /// Peaks alone.
 pub(super) fn peaks(exact: &mut Exact, closed: &[Closed], plan: &Plan<'_>) -> SweepResponse {
     let mut response = empty(plan);
+    let mut last = vec![Last::default(); closed.len()];
     response.contacts = exact.run_closed(closed, plan, &mut |stretch| {
         let step = stretch.step;
-        take_peaks(stretch, plan.first_counted(step), plan.dt, &mut response.peaks[step]);
+        let peaks = &mut response.peaks[step];
+        take_peaks(stretch, plan.first_counted(step), plan.dt, peaks, &mut last[stretch.piece]);
     });
     response
 }
@@ -55,9 +61,11 @@ pub(super) fn history(
 ) -> SweepResponse {
     let mut response = empty(plan);
     let mut rows = Rows::new(plan, closed.len());
+    let mut last = vec![Last::default(); closed.len()];
     response.contacts = exact.run_closed(closed, plan, &mut |stretch| {
         let (step, range) = (stretch.step, stretch.first..stretch.first + stretch.count);
-        take_peaks(stretch, plan.first_counted(step), plan.dt, &mut response.peaks[step]);
+        let peaks = &mut response.peaks[step];
+        take_peaks(stretch, plan.first_counted(step), plan.dt, peaks, &mut last[stretch.piece]);
         history.enter(stretch.first, stretch.mode.regime());
         let out = [
             &mut history.relative_displacement_m[range.clone()],
@@ -78,10 +86,12 @@ pub(super) fn visit(
 ) -> SweepResponse {
     let mut response = empty(plan);
     let mut rows = Rows::new(plan, closed.len());
+    let mut last = vec![Last::default(); closed.len()];
     let contact = exact.contact_law();
     response.contacts = exact.run_closed(closed, plan, &mut |stretch| {
         let step = stretch.step;
-        take_peaks(stretch, plan.first_counted(step), plan.dt, &mut response.peaks[step]);
+        let peaks = &mut response.peaks[step];
+        take_peaks(stretch, plan.first_counted(step), plan.dt, peaks, &mut last[stretch.piece]);
         let (wave, regime) = (&plan.steps[step], stretch.mode.regime());
         let w = stretch.segment.angular_frequency;
         for done in (0..stretch.count).step_by(ROW) {
@@ -115,12 +125,25 @@ pub(super) fn visit(
 
 /// The samples of a segment that may be extreme: its first and last, and, where their bounds allow more
 /// than what was found already, those beside the instants at which D or A turns.
-fn take_peaks(stretch: &Stretch<'_>, counted: usize, dt: f64, peaks: &mut StepPeaks) {
+fn take_peaks(stretch: &Stretch<'_>, counted: usize, dt: f64, peaks: &mut StepPeaks, turned: &mut Last) {
     let skipped = counted.saturating_sub(stretch.first);
     if skipped >= stretch.count {
         return;
     }
-    let (segment, last) = (stretch.segment, (stretch.count - 1) as f64);
+    let segment = stretch.segment;
+    let acceleration = if segment.held.is_some() {
+        Form::of_table(0, 0.0, 1.0)
+    } else {
+        let piece = &segment.closed.piece;
+        Form::of(segment, 0, -piece.constant, -piece.stiffness, -piece.damping)
+    };
+    let displacement = Form::of(segment, 0, 0.0, 1.0, 0.0);
+    let moves = |(low, high): (f64, f64), peaks: &StepPeaks| low < peaks.d_min_m || high > peaks.d_max_m;
+    let pulls = |(low, high): (f64, f64), peaks: &StepPeaks| high.max(-low) > peaks.a_max_m_s2;
+    if !moves(displacement.swing(segment), peaks) && !pulls(acceleration.swing(segment), peaks) {
+        return;
+    }
+    let last = (stretch.count - 1) as f64;
     let (from, until) = (stretch.offset + skipped as f64 * dt, stretch.offset + last * dt);
     let take = |now: &Instant, peaks: &mut StepPeaks| {
         let (d, v) = segment.state(now);
@@ -133,29 +156,20 @@ fn take_peaks(stretch: &Stretch<'_>, counted: usize, dt: f64, peaks: &mut StepPe
     if until - from < 1.5 * dt {
         return;
     }
-    let acceleration = if segment.held.is_some() {
-        Form::of_table(0, 0.0, 1.0)
-    } else {
-        let piece = &segment.closed.piece;
-        Form::of(segment, 0, -piece.constant, -piece.stiffness, -piece.damping)
-    };
-    let displacement = Form::of(segment, 0, 0.0, 1.0, 0.0);
-    let (lowest, highest) = displacement.range(segment, &ends);
-    let moves = segment.held.is_none() && (lowest < peaks.d_min_m || highest > peaks.d_max_m);
-    let (least, most) = acceleration.range(segment, &ends);
-    let pulls = most.max(-least) > peaks.a_max_m_s2;
+    let moves = segment.held.is_none() && moves(displacement.range(segment, &ends), peaks);
+    let pulls = pulls(acceleration.range(segment, &ends), peaks);
     let turns =
         [moves.then(|| Form::of(segment, 0, 0.0, 0.0, 1.0)), pulls.then(|| acceleration.derivative(segment))];
-    for form in turns.into_iter().flatten() {
-        let mut taken = f64::NEG_INFINITY;
-        zeros(&form, segment, (from, until), dt, |t, now| {
-            let below = ((t - stretch.offset) / dt).floor();
-            for i in 0..3 {
-                let sample = below + f64::from(i);
-                if sample > taken && sample <= last {
-                    take(&segment.beside(t, now, stretch.offset + sample * dt - t), peaks);
-                    taken = sample;
-                }
+    for (form, place) in turns.into_iter().zip(&mut turned.0) {
+        let Some(form) = form else { continue };
+        let mut taken = skipped as f64 - 1.0;
+        zeros(&form, segment, &ends, dt, place, &mut |(low, high), t, now| {
+            let mut sample = ((low - stretch.offset) / dt).floor().max(taken + 1.0);
+            let end = ((high - stretch.offset) / dt).floor() + 1.0;
+            while sample <= end.min(last) {
+                take(&segment.beside(t, now, stretch.offset + sample * dt - t), peaks);
+                taken = sample;
+                sample += 1.0;
             }
         });
     }
