@@ -140,7 +140,10 @@ impl Composer<'_> {
             .map(|motion| Problem::new(motion, self.nominal, self.options.effort.fitting_samples));
         let before_problem = raw_problem.as_ref().unwrap_or(problem);
         let reidentified = match &raw_problem {
-            Some(raw) => all(raw, &trial::base(raw, self.nominal, self.searcher.stride())?.refit),
+            Some(raw) => all(
+                raw,
+                &trial::base(raw, self.nominal, Some(&search.base.refit), self.searcher.stride())?.refit,
+            ),
             None => without.clone(),
         };
         let rung = |model: &str, p: &Problem<'_>, errors: Option<&[(usize, OutputError)]>| {

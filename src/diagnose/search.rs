@@ -5,7 +5,7 @@ use super::trial::{self, Trial};
 use super::verdict::{self, Thresholds};
 use crate::identify::least_squares::Settings;
 use crate::identify::motion::Motion;
-use crate::identify::problem::{Part, Problem};
+use crate::identify::problem::{NARROW, Part, Problem, WIDE};
 use crate::identify::refit::{Domain, Refit};
 use crate::model::effects::Effect;
 use crate::model::{EffectSpec, ModelSpec, Scales};
@@ -43,6 +43,8 @@ impl Default for Effort {
 const NEAR: f64 = 0.25;
 /// Nats that a candidate brings on the thinned record before it is fitted in full.
 const PROMISING: f64 = 3.0;
+/// Share of its prior's width that is left to a number that the motion does not reach.
+const UNSEEN: f64 = 0.9;
 /// So many finalists are simulated at most, those within so many nats of the best.
 const SIMULATED: usize = 3;
 const CLOSE: f64 = 50.0;
@@ -71,20 +73,34 @@ pub struct Searcher<'a> {
     effort: Effort,
     screening: Problem<'a>,
     fitting: Problem<'a>,
+    /// The nominal model fitted by force.
+    fitted: Option<Refit>,
     stride: usize,
 }
 
 impl<'a> Searcher<'a> {
-    /// Prepares the problems; the weights of the samples come from the nominal model.
+    /// Prepares the problems; the weights of the samples come from the re-fitted nominal model, since a gap that is
+    /// merely off puts them beside the contacts.
     pub fn new(motion: &'a Motion, nominal: &ModelSpec, effort: Effort) -> Self {
         let total: usize = motion.windows.iter().map(|w| w.range.len()).sum();
-        Self {
-            motion,
-            effort,
-            screening: Problem::new(motion, nominal, effort.screening_samples),
-            fitting: Problem::new(motion, nominal, effort.fitting_samples),
-            stride: total.div_ceil(effort.output_samples.max(1)).max(1),
+        let mut screening = Problem::new(motion, nominal, effort.screening_samples);
+        let mut fitting = Problem::new(motion, nominal, effort.fitting_samples);
+        let mut fitted: Option<Refit> = None;
+        for around in [WIDE, NARROW, NARROW] {
+            if let Some(base) = trial::base_by_force(&screening, nominal, fitted.as_ref()) {
+                let base = reached(&screening, nominal, base);
+                screening.weigh(&base.spec, base.zero_m, around);
+                fitting.weigh(&base.spec, base.zero_m, around);
+                fitted = Some(base);
+            }
         }
+        if let Some(base) = trial::base_by_force(&fitting, nominal, fitted.as_ref()) {
+            screening.weigh(&base.spec, base.zero_m, NARROW);
+            fitting.weigh(&base.spec, base.zero_m, NARROW);
+            fitted = Some(base);
+        }
+        let stride = total.div_ceil(effort.output_samples.max(1)).max(1);
+        Self { motion, effort, screening, fitting, fitted, stride }
     }
 
     /// The problem with the finer thinning.
@@ -99,13 +115,13 @@ impl<'a> Searcher<'a> {
 
     /// Re-fits the base model.
     pub fn base(&self, nominal: &ModelSpec) -> Option<Trial> {
-        trial::base(&self.fitting, nominal, self.stride)
+        trial::base(&self.fitting, nominal, self.fitted.as_ref(), self.stride)
     }
 
     /// What every candidate adds to the fitted base model on the thinned training steps, best first: nats, coloured
     /// residuals considered, less half the logarithm of the independent samples for each parameter (Schwarz 1978).
     pub fn evidence(&self, nominal: &ModelSpec) -> Option<Vec<(&'static str, f64)>> {
-        let base = trial::base_by_force(&self.screening, nominal)?;
+        let base = trial::base_by_force(&self.screening, nominal, self.fitted.as_ref())?;
         let scales = candidates::scales(&base.spec, self.motion);
         let effects = candidates::physical(&base.spec, self.motion.kind);
         let colour = base.inflation.max(1.0);
@@ -256,6 +272,27 @@ impl<'a> Searcher<'a> {
         }
         Some(search)
     }
+}
+
+/// A knee or gap just beyond the motion has no slope to follow, although the truth may lie within: such numbers are tried
+/// from there.
+fn reached(problem: &Problem<'_>, nominal: &ModelSpec, fit: Refit) -> Refit {
+    let mut best = fit;
+    for j in 0..best.numbers.numbers.len() {
+        let (key, prior) = (best.numbers.numbers[j].key.clone(), best.numbers.free[j].prior);
+        let edge = key.starts_with("isolator.breakpoints_m") || key == "bumper.total_gap_m";
+        if !edge || best.sigmas[j] < UNSEEN * prior.1 {
+            continue;
+        }
+        let mut start = best.clone();
+        if start.spec.set(&key, prior.0 - 1.5 * prior.1).is_ok()
+            && let Some(other) = trial::base_by_force(problem, nominal, Some(&start))
+            && trial::objective(&other) < trial::objective(&best)
+        {
+            best = other;
+        }
+    }
+    best
 }
 
 impl Search {

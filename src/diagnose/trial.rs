@@ -24,6 +24,8 @@ pub struct Score {
     pub log_mean: f64,
 }
 
+/// Everything is judged against the base model: its fit must not stop half-way.
+const BASE_ITERATIONS: usize = 30;
 /// Stretches of [`Score::log_mean`].
 const STRETCHES: usize = 64;
 
@@ -71,12 +73,23 @@ pub struct Trial {
     pub refit: Refit,
     /// Restoring force along the measured motion of held-out steps: ranks explanations.
     pub force: Score,
+    /// Number of those residuals of the training steps that carry weight.
+    pub training: usize,
+    /// Sum of their squares and the priors', as minimised.
+    pub objective: f64,
+    /// How many of those residuals count as one independent one.
+    pub colour: f64,
     /// Simulated response of held-out steps: an explanation has to improve it. `None` for rivals
     /// that the force alone already refuses.
     pub output: Option<Score>,
 }
 
 impl Trial {
+    /// What was gained over another trial on the training steps, nats, coloured residuals considered.
+    pub fn training_gain(&self, from: &Self) -> f64 {
+        0.5 * (from.objective - self.objective) / self.colour.max(1.0)
+    }
+
     /// Number of fitted values.
     pub fn dimension(&self) -> usize {
         self.refit.fit.values.len()
@@ -100,18 +113,29 @@ impl Trial {
     }
 }
 
-/// Fits the base model's numbers alone.
-pub fn base(problem: &Problem<'_>, nominal: &ModelSpec, stride: usize) -> Option<Trial> {
-    finish(problem, &judge_by_force(problem, &[], base_by_force(problem, nominal)?)?, stride)
+/// Fits the base model's numbers alone, from where another fit of them ended, if there is one.
+pub fn base(
+    problem: &Problem<'_>,
+    nominal: &ModelSpec,
+    from: Option<&Refit>,
+    stride: usize,
+) -> Option<Trial> {
+    finish(problem, &judge_by_force(problem, &[], base_by_force(problem, nominal, from)?)?, stride)
 }
 
 /// The same by the force along the measured motion alone.
-pub fn base_by_force(problem: &Problem<'_>, nominal: &ModelSpec) -> Option<Refit> {
+pub fn base_by_force(problem: &Problem<'_>, nominal: &ModelSpec, from: Option<&Refit>) -> Option<Refit> {
     let mut numbers = Numbers::of_base(nominal);
     for index in 0..nominal.effects.len() {
         numbers.add_effect(nominal, index, &super::candidates::scales(nominal, problem.motion));
     }
-    refit(problem, nominal, &numbers, 0.0, Domain::Force, Part::Training, Settings::default())
+    if let Some(from) = from {
+        numbers.start_from(&from.spec);
+    }
+    let start = from.map_or(nominal, |from| &from.spec);
+    let zero_m = from.map_or(0.0, |from| from.zero_m);
+    let settings = Settings { iterations: BASE_ITERATIONS, ..Settings::default() };
+    refit(problem, start, &numbers, zero_m, Domain::Force, Part::Training, settings)
 }
 
 /// Adds an effect to a fitted base and fits everything in the force domain.
@@ -149,7 +173,10 @@ pub fn judge_by_force(problem: &Problem<'_>, names: &[String], refit: Refit) -> 
     let sound = problem.force_residuals(&refit.spec, refit.zero_m, Part::HeldOut, &mut residuals);
     // Half as much again: the noise of the displacement is not known better than that.
     let carried = 1.5 * problem.carried_noise(Part::HeldOut);
-    sound.then(|| Trial { names: names.to_vec(), force: Score::of(&residuals, carried), refit, output: None })
+    let training = problem.weighted_count(Part::Training);
+    let (objective, colour) = (objective(&refit), refit.inflation.max(1.0));
+    let force = Score::of(&residuals, carried);
+    sound.then(|| Trial { names: names.to_vec(), force, training, objective, colour, refit, output: None })
 }
 
 /// Refines a fit by the simulated response and scores it on the held-out steps. Where the

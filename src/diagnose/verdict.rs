@@ -3,7 +3,7 @@
 use super::candidates::contained_in;
 use super::search::Search;
 use super::structure::Structure;
-use super::trial::{Score, Trial};
+use super::trial::Trial;
 use serde::Serialize;
 
 /// The answer.
@@ -89,8 +89,6 @@ pub fn gain(better: &Trial, worse: &Trial) -> f64 {
 /// in units of the noise, that is structure whatever the flexible model sees.
 const STRUCTURED: f64 = 0.2;
 const UNMISTAKABLE: f64 = 0.5;
-/// Logarithm of the mean square over its logarithmic mean that says a simulation jumped: a factor of three.
-const JUMPS: f64 = 1.1;
 
 /// Decides; `structure` examines what a trial leaves.
 pub fn decide(search: &Search, structure: impl Fn(&Trial) -> Structure, thresholds: Thresholds) -> Decision {
@@ -151,7 +149,10 @@ fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(
     let passed: Vec<&Trial> = finalists
         .iter()
         .filter(|trial| {
-            gain(trial, from) > thresholds.gain && excludes_zero(trial) && worth(trial, from, thresholds)
+            gain(trial, from) > thresholds.gain
+                && evident(trial, from, thresholds)
+                && excludes_zero(trial, from)
+                && follows(trial, from, thresholds)
         })
         .collect();
     let best = passed.first()?;
@@ -166,41 +167,57 @@ fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(
         .filter(|trial| last_name(trial) != last_name(chosen) && !is_simpler(chosen, trial))
         .map(|trial| last_name(trial))
         .collect();
-    Some((chosen.clone(), rivals))
+    let mut chosen = chosen.clone();
+    sharpen(&mut chosen, from);
+    Some((chosen, rivals))
 }
 
-/// The error falls by something an engineer would call a fall, and so does that of the response: in its mean, or in most of
-/// the record where a step that jumps to another branch rules the mean.
-fn worth(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
-    let response = match (&trial.output, &from.output) {
+/// Where contacts begin and end moves by whole samples, which a linearised fit does not see: the amplitude of the added
+/// effect is known at least as well as the fall of the sum of squares from zero amplitude says.
+fn sharpen(trial: &mut Trial, from: &Trial) {
+    let leading = format!("effect[{}].", trial.refit.spec.effects.len() - 1);
+    let gained = trial.training_gain(from);
+    let refit = &mut trial.refit;
+    let first = refit.numbers.numbers.iter().position(|n| n.key.starts_with(&leading));
+    if let Some(j) = first.filter(|j| !refit.numbers.numbers[*j].logarithmic)
+        && gained > 0.0
+    {
+        refit.sigmas[j] = refit.sigmas[j].min(refit.fit.values[j].abs() / (2.0 * gained).sqrt());
+    }
+}
+
+/// The fit itself says that the effect is there: what it gained on the training steps, less half the logarithm of the
+/// independent samples for each parameter (Schwarz 1978). A gain on held-out steps alone may be one lucky step.
+fn evident(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
+    let extra = trial.dimension() as f64 - from.dimension() as f64;
+    let independent = trial.training as f64 / trial.colour.max(1.0);
+    trial.training_gain(from) - 0.5 * extra * independent.max(1.0).ln() > thresholds.gain
+}
+
+/// The simulated response of held-out steps is better, or no worse than chance has it: in its mean, or in most of the
+/// record, since a step in which a stiff contact leads elsewhere rules the mean.
+fn follows(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
+    match (&trial.output, &from.output) {
         (Some(with), Some(without)) => {
-            with.mean() < without.mean() || with.log_mean < without.log_mean && jumps(without)
+            let independent = with.count as f64 / with.colour;
+            let lost = 0.5 * independent * (with.mean() / without.mean().max(1e-300)).ln();
+            lost < thresholds.tie || with.log_mean < without.log_mean
         }
         _ => true,
-    };
-    response && from.force.mean() - trial.force.mean() > 0.2 * thresholds.excess
+    }
 }
 
-/// A few stretches rule the mean of the response's error.
-fn jumps(response: &Score) -> bool {
-    response.mean().ln() > response.log_mean + JUMPS
-}
-
-/// The interval of the leading parameter of the added effect excludes zero: by 3.5 standard
-/// deviations of the coloured fit.
-fn excludes_zero(trial: &Trial) -> bool {
+/// The interval of a parameter of the added effect excludes zero, by 3.5 standard deviations of the coloured fit.
+fn excludes_zero(trial: &Trial, from: &Trial) -> bool {
     let index = trial.refit.spec.effects.len() - 1;
     let prefix = format!("effect[{index}].");
     let refit = &trial.refit;
-    let mut any = false;
-    for (j, number) in refit.numbers.numbers.iter().enumerate() {
-        if number.key.starts_with(&prefix) {
-            let (value, sigma) = (refit.fit.values[j], refit.sigmas[j]);
-            // A number fitted by its logarithm is away from zero when its magnitude is known.
-            any |= if number.logarithmic { sigma < 0.5 } else { value.abs() > 3.5 * sigma };
-        }
-    }
-    any
+    refit.numbers.numbers.iter().enumerate().filter(|(_, n)| n.key.starts_with(&prefix)).any(|(j, number)| {
+        let (value, sigma) = (refit.fit.values[j], refit.sigmas[j]);
+        // A number fitted by its logarithm is away from zero when its magnitude is known.
+        let known = if number.logarithmic { sigma < 0.5 } else { value.abs() > 3.5 * sigma };
+        known || !number.logarithmic && trial.training_gain(from) > 0.5 * 3.5_f64.powi(2)
+    })
 }
 
 fn weigh(finalists: &[Trial], thresholds: Thresholds) -> Vec<(String, f64)> {
@@ -222,10 +239,12 @@ fn refuse(trial: &Trial, against: &Trial, base: &Trial, why: &str) -> Refused {
     Refused {
         name: last_name(trial),
         reason: format!(
-            "{why}: leaves {:.1} % of the excess on held-out steps ({:.1} % with what was kept; {:.1} nats apart)",
+            "{why}: leaves {:.1} % of the excess on held-out steps ({:.1} % with what was kept; {:.1} nats apart there, \
+             {:.1} on the steps of the fit)",
             100.0 * trial.share_left(base),
             100.0 * against.share_left(base),
-            gain(against, trial)
+            gain(against, trial),
+            against.training_gain(trial),
         ),
     }
 }

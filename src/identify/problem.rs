@@ -5,6 +5,7 @@
 //! fit; the output domain decides. Residuals are in units of their noise, so that a sum of squares
 //! over the count is 1 when nothing is left.
 
+use super::kinematics::Instruments;
 use super::motion::{Motion, Window};
 use crate::model::{self, ModelSpec, Specimen};
 use crate::record::Kind;
@@ -50,6 +51,11 @@ pub struct Problem<'a> {
     brief: Vec<Window>,
 }
 
+/// Noises of the displacement within which a bend of the force is not to be trusted: of a model that is yet to be fitted, and
+/// of one that is.
+pub const WIDE: f64 = 16.0;
+/// As [`WIDE`], for a fitted model.
+pub const NARROW: f64 = 4.0;
 /// Slow noise of a displacement sensor over the motion it measures: 10 um for the paper's rig.
 const DRIFT: f64 = 1e-3;
 /// Correlation of that drift from one cycle to the next.
@@ -115,34 +121,43 @@ impl<'a> Problem<'a> {
         let drift_m = DRIFT * motion.rms(&motion.displacement_m);
         let mut problem =
             Self { motion, thin, weights: Vec::new(), slopes: Vec::new(), drift_m, brief: brief(motion) };
-        problem.weigh(spec);
+        problem.weigh(spec, 0.0, WIDE);
         problem
     }
 
-    fn weigh(&mut self, spec: &ModelSpec) {
+    /// Weighs the samples for a model and the zero of its displacement sensor: what the noise of the displacement makes of
+    /// the force along its slope, and where the force bends or jumps (a contact begins) within `around` times that noise,
+    /// any part of it.
+    pub fn weigh(&mut self, spec: &ModelSpec, zero_m: f64, around: f64) {
         let motion = self.motion;
         let shift = self.shift_m();
-        let centre = self.restoring(spec, 0.0);
-        let aside = self.restoring(spec, 3.0 * shift);
+        let aside_m = around * (3.0 * shift + self.drift_m);
+        let centre = self.restoring(spec, zero_m);
+        let sides = [aside_m, -aside_m].map(|aside| self.restoring(spec, zero_m + aside));
         let slow = 3.0 * motion.velocity_noise_m_s;
         self.slopes.clear();
         self.weights.clear();
         for (k, window) in motion.windows.iter().enumerate() {
-            let slopes: Vec<f64> = match (&centre, &aside) {
-                (Some(a), Some(b)) => {
-                    a[k].iter().zip(&b[k]).map(|(a, b)| (b - a) / (3.0 * shift).max(1e-300)).collect()
+            // Slope and bend at each sample.
+            let shape: Vec<(f64, f64)> = match (&centre, &sides) {
+                (Some(at), [Some(right), Some(left)]) => {
+                    let both = right[k].iter().zip(&left[k]);
+                    let shape = |(f, (r, l)): (&f64, (&f64, &f64))| {
+                        ((r - l) / (2.0 * aside_m).max(1e-300), r + l - 2.0 * f)
+                    };
+                    at[k].iter().zip(both).map(shape).collect()
                 }
-                _ => self.samples(window).map(|_| 0.0).collect(),
+                _ => self.samples(window).map(|_| (0.0, 0.0)).collect(),
             };
-            let weight = |(n, slope): (usize, &f64)| {
+            let weight = |(n, (slope, bend)): (usize, &(f64, f64))| {
                 if motion.velocity_m_s[n].abs() < slow {
                     return 0.0;
                 }
-                let sigma = motion.restoring_noise_m_s2.hypot(slope * shift);
+                let sigma = motion.restoring_noise_m_s2.hypot(slope * shift).hypot(0.5 * bend);
                 if sigma > 0.0 && sigma.is_finite() { 1.0 / sigma } else { 0.0 }
             };
-            self.weights.push(self.samples(window).zip(&slopes).map(weight).collect());
-            self.slopes.push(slopes);
+            self.weights.push(self.samples(window).zip(&shape).map(weight).collect());
+            self.slopes.push(shape.into_iter().map(|(slope, _)| slope).collect());
         }
     }
 
@@ -216,7 +231,29 @@ impl<'a> Problem<'a> {
             }
             self.take_out_drift(k, &mut out[begin..]);
         }
+        self.take_out_leak(part, out);
         true
+    }
+
+    /// Takes out what may have leaked of the table's acceleration into that of the mass (or a common error of gain, seen
+    /// from the table), within what the kinematics leave open: along a base record it looks like a force of its own.
+    fn take_out_leak(&self, part: Part, residuals: &mut [f64]) {
+        let motion = self.motion;
+        let Some(Instruments { accelerometers: [one, two], .. }) = &motion.instruments else { return };
+        let sigma = 0.5 * (one.leak.sigma + two.leak.sigma);
+        let at = || {
+            let windows = motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w));
+            windows.flat_map(|(k, w)| {
+                self.samples(w).zip(&self.weights[k]).map(|(n, weight)| weight * motion.drive_m_s2[n])
+            })
+        };
+        let (mut along, mut power) = (0.0, sigma.max(1e-300).powi(-2));
+        for (r, table) in residuals.iter().zip(at()) {
+            along += r * table;
+            power += table * table;
+        }
+        let leak = along / power;
+        residuals.iter_mut().zip(at()).for_each(|(r, table)| *r -= leak * table);
     }
 
     /// Takes the drift of the displacement sensor in one window out of its residuals: a line from cycle to cycle
