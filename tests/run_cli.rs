@@ -1,20 +1,12 @@
 //! The command line of a run, as a script sees it: JSON, exit codes, determinism, a killed process.
 
+mod common;
+
+use common::{json, shaketable, wait_for};
 use serde_json::Value;
 use shaketable::record::samples::SampleReader;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
-use std::time::{Duration, Instant};
-
-fn shaketable(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_shaketable")).args(args).output().expect("the binary runs")
-}
-
-fn json(output: &Output) -> Value {
-    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| {
-        panic!("one JSON object on standard output: {error}\n{}", String::from_utf8_lossy(&output.stderr))
-    })
-}
+use std::process::{Command, Stdio};
 
 fn run(out: &Path, more: &[&str]) -> Value {
     let out = out.to_str().expect("a path");
@@ -105,18 +97,6 @@ fn a_preview_moves_nothing() {
     assert_eq!(output.status.code(), Some(0));
     assert!(String::from_utf8_lossy(&output.stdout).contains("92 steps"));
     assert!(!path.exists());
-}
-
-/// Waits for a condition, for at most 30 s.
-fn wait_for<T>(mut condition: impl FnMut() -> Option<T>) -> T {
-    let give_up = Instant::now() + Duration::from_secs(30);
-    loop {
-        if let Some(value) = condition() {
-            return value;
-        }
-        assert!(Instant::now() < give_up, "waited for 30 s");
-        std::thread::yield_now();
-    }
 }
 
 #[test]

@@ -5,19 +5,20 @@
 //! `campaign diagnose` calls it. Every held-out figure comes from a fit that starts cold, from the campaign's
 //! own model, and has not seen the gap that it is judged on.
 
-use super::fit::{Cell, Correction, Freedom, counted_rms};
+use super::first_look::first_look;
+use super::fit::{Cell, Correction, Freedom};
 use super::ladder::{Depth, Rung, Study, paired};
 use super::odd::{Odd, odd_entries, without};
-use super::peaks::LogError;
 use super::spec::Configuration;
 use crate::diagnose::candidates::contained_in;
-use crate::model::effects::{self, Place};
-use crate::parallel;
+use crate::model::effects;
 use serde::Serialize;
 
 /// Standard errors by which the held-out squares must fall for an addition to be accepted, and within which
 /// two of them cannot be told apart.
-const DECISIVE: f64 = 2.0;
+pub(super) const DECISIVE: f64 = 2.0;
+/// Squares after a full fit, over those of the best, beyond which a candidate is not judged on gaps left out.
+const HOPELESS: f64 = 1.3;
 
 /// A candidate that was not taken.
 #[derive(Clone, Debug, Serialize)]
@@ -84,13 +85,13 @@ pub fn diagnose(
         ladder.push(study.rung(freedom)?);
     }
     let mut best = ladder.len() - 1;
-    let (finalists, mut refused) = study.first_look(tell)?;
+    let (finalists, mut refused) = first_look(&study, &ladder[best].x, tell)?;
     tell(&format!("gaps left out: {}", finalists.join(", ")));
     let with = |name: &&'static str| Freedom { effects: vec![*name], ..Freedom::default() };
     let mut taken = study.judged(finalists.iter().map(with).collect(), &ladder[best], &mut refused);
     simplest(&mut taken, &mut refused);
     let equal = equals(&taken);
-    best = if taken.is_empty() { best } else { ladder.len() };
+    best = plainest(&taken, &equal).map_or(best, |at| ladder.len() + at);
     ladder.extend(taken);
     tell("corrections of the observation");
     let on_top = ladder[best].freedom.effects.clone();
@@ -141,67 +142,25 @@ const NEXT: [&str; 4] = [
 ];
 
 impl Study<'_> {
-    /// Every effect of the catalogue once, from its starting value: those that peaks do not feel are refused,
-    /// the others ranked by a short fit.
-    fn first_look(&self, tell: &(dyn Fn(&str) + Sync)) -> Option<(Vec<&'static str>, Vec<Refused>)> {
-        let all: Vec<&Cell> = self.cells.iter().collect();
-        let nominal = self.problem(Freedom::default());
-        let start = nominal.fit(&all, self.depth.first)?;
-        let before = nominal.errors(&start.x, &all)?;
-        let candidates: Vec<&'static str> = effects::CATALOGUE
-            .iter()
-            .filter(|effect| {
-                effect.place != Place::User && !effect.is_instrument() && effect.name != "mass-error"
-            })
-            .map(|effect| effect.name)
-            .collect();
-        let looked = parallel::map(&candidates, self.depth.jobs, |name| {
-            tell(name);
-            let problem = self.problem(Freedom { effects: vec![name], ..Freedom::default() });
-            let mut x = start.x.clone();
-            x.extend(problem.start().into_iter().skip(x.len()));
-            let after = problem.errors(&x, &all)?;
-            let felt: Vec<LogError> = before
-                .iter()
-                .zip(&after)
-                .map(|(b, a)| LogError {
-                    a_max: a.a_max - b.a_max,
-                    excursion: a.excursion - b.excursion,
-                    nu_r: a.nu_r - b.nu_r,
-                })
-                .collect();
-            let shift = counted_rms(&felt, &all);
-            if shift < 0.1 * self.scatter[0] {
-                return Some((shift, f64::INFINITY));
-            }
-            Some((shift, problem.fit_from(&all, x, self.depth.first)?.cost))
-        });
-        let mut ranked: Vec<(f64, &'static str)> = Vec::new();
-        let mut refused = Vec::new();
-        for (name, look) in candidates.iter().zip(looked) {
-            match look {
-                Some((shift, cost)) if cost.is_infinite() => refused.push(Refused {
-                    name: (*name).to_owned(),
-                    reason: format!("moves no peak by more than {:.2} % at its starting size", 100.0 * shift),
-                }),
-                Some((_, cost)) => ranked.push((cost, name)),
-                None => refused
-                    .push(Refused { name: (*name).to_owned(), reason: "cannot be simulated there".into() }),
-            }
-        }
-        ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
-        for (cost, name) in ranked.iter().skip(self.depth.finalists) {
-            let reason =
-                format!("a short fit leaves {cost:.1} of {:.1} squares, more than others", start.cost);
-            refused.push(Refused { name: (*name).to_owned(), reason });
-        }
-        Some((ranked.into_iter().take(self.depth.finalists).map(|(_, name)| name).collect(), refused))
-    }
-
     /// Those rungs whose squares of the gaps left out fall decisively below those of a base, best first.
     fn judged(&self, freedoms: Vec<Freedom>, base: &Rung, refused: &mut Vec<Refused>) -> Vec<Rung> {
+        let fits = self.wholes(&freedoms);
+        let least = fits.iter().flatten().map(|fit| fit.cost).fold(f64::INFINITY, f64::min);
+        let mut near = Vec::new();
+        for (freedom, fit) in freedoms.into_iter().zip(fits) {
+            match fit {
+                Some(fit) if fit.cost <= HOPELESS * least => near.push((freedom, fit)),
+                fit => {
+                    let left = fit.map_or("nothing that can be simulated".to_owned(), |fit| {
+                        format!("{:.1} squares of the cells fitted to", fit.cost)
+                    });
+                    let reason = format!("leaves {left}, where the best leaves {least:.1}");
+                    refused.push(Refused { name: freedom.name(), reason });
+                }
+            }
+        }
         let mut taken = Vec::new();
-        for rung in self.rungs(freedoms) {
+        for rung in self.rungs(&near) {
             let t = paired(&base.squares, &rung.squares);
             if t >= DECISIVE {
                 taken.push(rung);
@@ -266,6 +225,12 @@ const ALWAYS: [&str; 3] = [
     "which side: gap asymmetry and constant force act on D_max and D_min, of which only the difference is there",
     "delays of the instruments: peaks have no phase",
 ];
+
+/// Of those that cannot be told apart the one with the fewest numbers, of these the best.
+fn plainest(taken: &[Rung], equal: &[String]) -> Option<usize> {
+    let alike = taken.iter().enumerate().filter(|(_, rung)| equal.contains(&rung.name));
+    alike.min_by_key(|(_, rung)| rung.numbers).map(|(at, _)| at)
+}
 
 /// Names of those that cannot be told from the best, which comes first.
 fn equals(taken: &[Rung]) -> Vec<String> {

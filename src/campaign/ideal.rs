@@ -81,11 +81,65 @@ pub fn peaks(states: &[IdealStep], direction: Direction, resonance: Resonance) -
     peaks_of(there.map(|state| (state.frequency_hz, (state.a_max_m_s2, state.excursion_m))), resonance)
 }
 
+/// Whether the largest acceleration and the largest excursion lie between the first and the last state.
+pub fn peak_inside(states: &[IdealStep]) -> bool {
+    let inside = |of: fn(&IdealStep) -> f64| {
+        let largest = states.iter().enumerate().max_by(|a, b| of(a.1).total_cmp(&of(b.1)));
+        largest.is_some_and(|(i, _)| i > 0 && i + 1 < states.len())
+    };
+    inside(|state| state.a_max_m_s2) && inside(|state| state.excursion_m)
+}
+
+/// Exponent of the weights of [`smooth_nu`].
+const SHARPNESS: i32 = 64;
+
+/// The pseudo-resonance between the steps of a sweep: their mean frequency weighted with a high power of the
+/// response, which moves smoothly where the largest jumps from step to step.
+pub fn smooth_nu(states: &[IdealStep], resonance: Resonance) -> f64 {
+    let of = |state: &IdealStep| if resonance.by_acceleration { state.a_max_m_s2 } else { state.excursion_m };
+    let largest = states.iter().map(of).fold(f64::MIN_POSITIVE, f64::max);
+    let weigh = |(sum, weights): (f64, f64), state: &IdealStep| {
+        let weight = (of(state) / largest).powi(SHARPNESS);
+        (sum + weight * state.frequency_hz, weights + weight)
+    };
+    let (sum, weights) = states.iter().fold((0.0, 0.0), weigh);
+    sum / weights / resonance.reference_hz
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::model::simulate_sweep;
     use crate::model::testing::effect;
+
+    #[test]
+    fn a_smooth_resonance_lies_between_the_steps_and_at_a_sharp_peak_on_one() {
+        let state = |frequency_hz: f64, excursion_m: f64| IdealStep {
+            direction: Direction::Forward,
+            frequency_hz,
+            a_max_m_s2: 1.0,
+            excursion_m,
+        };
+        let resonance = Resonance { reference_hz: 2.0, by_acceleration: false };
+        let twins = [state(1.0, 0.02), state(1.1, 0.03), state(1.2, 0.03), state(1.3, 0.02)];
+        assert!((smooth_nu(&twins, resonance) - 0.575).abs() < 1e-9);
+        let sharp = [state(1.0, 0.02), state(1.1, 0.03), state(1.2, 0.02)];
+        assert!((smooth_nu(&sharp, resonance) - 0.55).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_peak_lies_inside_when_both_responses_fall_to_either_side() {
+        let state = |a_max_m_s2: f64, excursion_m: f64| IdealStep {
+            direction: Direction::Forward,
+            frequency_hz: 1.0,
+            a_max_m_s2,
+            excursion_m,
+        };
+        assert!(peak_inside(&[state(1.0, 0.01), state(2.0, 0.02), state(1.0, 0.01)]));
+        assert!(!peak_inside(&[state(1.0, 0.01), state(2.0, 0.02), state(3.0, 0.01)]));
+        assert!(!peak_inside(&[state(1.0, 0.03), state(2.0, 0.02), state(1.0, 0.01)]));
+        assert!(!peak_inside(&[]));
+    }
 
     #[test]
     fn peaks_alone_are_those_of_all_samples() {

@@ -14,8 +14,10 @@ const TESTED: f64 = 0.7;
 /// How thoroughly to look.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Depth {
-    /// Of fits that are quoted.
+    /// Of fits to all cells that are quoted.
     pub full: Effort,
+    /// Of fits to all but one gap.
+    pub held_out: Effort,
     /// Of the first look at every candidate.
     pub first: Effort,
     /// Candidates that are judged on gaps left out.
@@ -46,6 +48,9 @@ pub struct Rung {
     pub(super) freedom: Freedom,
     #[serde(skip)]
     pub(super) squares: Vec<f64>,
+    /// Where the fit to all cells ended.
+    #[serde(skip)]
+    pub(super) x: Vec<f64>,
 }
 
 /// A number with its interval.
@@ -82,42 +87,50 @@ impl Study<'_> {
 
     /// Fits to all cells, and to all but one gap in turn.
     pub(super) fn rung(&self, freedom: Freedom) -> Option<Rung> {
-        self.rungs(vec![freedom]).pop()
+        let whole = self.wholes(std::slice::from_ref(&freedom)).pop()??;
+        self.rungs(&[(freedom, whole)]).pop()
     }
 
-    pub(super) fn rungs(&self, freedoms: Vec<Freedom>) -> Vec<Rung> {
-        let gaps: Vec<Option<usize>> = std::iter::once(None)
-            .chain((0..self.configuration.spec.gap.len()).map(Some))
-            .filter(|gap| gap.is_none() || self.cells.iter().any(|cell| cell.case.gap == *gap))
+    /// Fits to all cells.
+    pub(super) fn wholes(&self, freedoms: &[Freedom]) -> Vec<Option<Fitted>> {
+        let all: Vec<&Cell> = self.cells.iter().collect();
+        parallel::map(freedoms, self.depth.jobs, |freedom| {
+            self.problem(freedom.clone()).fit(&all, self.depth.full)
+        })
+    }
+
+    /// Rungs of fits to all cells: what they predict of each gap when they have not seen it.
+    pub(super) fn rungs(&self, wholes: &[(Freedom, Fitted)]) -> Vec<Rung> {
+        let gaps: Vec<usize> = (0..self.configuration.spec.gap.len())
+            .filter(|gap| self.cells.iter().any(|cell| cell.case.gap == Some(*gap)))
             .collect();
-        let jobs: Vec<(usize, Option<usize>)> =
-            (0..freedoms.len()).flat_map(|f| gaps.iter().map(move |gap| (f, *gap))).collect();
+        let jobs: Vec<(usize, usize)> =
+            (0..wholes.len()).flat_map(|f| gaps.iter().map(move |gap| (f, *gap))).collect();
         let fits = parallel::map(&jobs, self.depth.jobs, |(f, left_out)| {
-            let problem = self.problem(freedoms[*f].clone());
-            let seen = |cell: &&Cell| left_out.is_none() || cell.case.gap != *left_out;
-            let cells: Vec<&Cell> = self.cells.iter().filter(seen).collect();
-            problem.fit(&cells, self.depth.full)
+            let problem = self.problem(wholes[*f].0.clone());
+            let cells: Vec<&Cell> =
+                self.cells.iter().filter(|cell| cell.case.gap != Some(*left_out)).collect();
+            problem.fit(&cells, self.depth.held_out)
         });
-        let of = |f: usize| {
-            let own: Vec<(Option<usize>, Option<&Fitted>)> = jobs
+        let of = |(f, (freedom, whole)): (usize, &(Freedom, Fitted))| {
+            let own: Vec<(usize, Option<&Fitted>)> = jobs
                 .iter()
                 .zip(&fits)
                 .filter(|((g, _), _)| *g == f)
                 .map(|((_, gap), fit)| (*gap, fit.as_ref()))
                 .collect();
-            self.assemble(freedoms[f].clone(), &own)
+            self.assemble(freedom.clone(), whole, &own)
         };
-        (0..freedoms.len()).filter_map(of).collect()
+        wholes.iter().enumerate().filter_map(of).collect()
     }
 
-    fn assemble(&self, freedom: Freedom, fits: &[(Option<usize>, Option<&Fitted>)]) -> Option<Rung> {
+    fn assemble(&self, freedom: Freedom, whole: &Fitted, fits: &[(usize, Option<&Fitted>)]) -> Option<Rung> {
         let problem = self.problem(freedom.clone());
-        let whole = fits.iter().find(|(gap, _)| gap.is_none())?.1?;
         let all: Vec<&Cell> = self.cells.iter().collect();
         let errors = problem.errors(&whole.x, &all)?;
         let (mut held, mut held_cells) = (Vec::new(), Vec::new());
-        for (gap, fit) in fits.iter().filter(|(gap, _)| gap.is_some()) {
-            let test: Vec<&Cell> = self.cells.iter().filter(|cell| cell.case.gap == *gap).collect();
+        for (gap, fit) in fits {
+            let test: Vec<&Cell> = self.cells.iter().filter(|cell| cell.case.gap == Some(*gap)).collect();
             held.extend(problem.errors(&(*fit)?.x, &test)?);
             held_cells.extend(test);
         }
@@ -132,6 +145,7 @@ impl Study<'_> {
             parameters: estimates(&problem, whole),
             freedom,
             squares: squares(&held, &held_cells),
+            x: whole.x.clone(),
         })
     }
 }

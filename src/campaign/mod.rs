@@ -6,8 +6,10 @@
 //! case leaves one result; runs resume, may be spread over machines, and results never depend on who ran
 //! them or in which order.
 
+pub mod design_map;
 pub mod diagnose;
 pub mod figures;
+mod first_look;
 pub mod fit;
 pub mod ideal;
 pub mod ladder;
@@ -17,6 +19,7 @@ pub mod optimise;
 pub mod peaks;
 pub mod report;
 pub mod runner;
+mod search;
 pub mod spec;
 pub mod store;
 pub mod tables;

@@ -16,10 +16,10 @@ use crate::sweep::{Direction, Step};
 use nalgebra::DVector;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Which designs are looked at.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct Space {
     /// Stiffnesses of the bumper, N/m, rising.
     pub stiffness_n_m: Vec<f64>,
@@ -28,11 +28,23 @@ pub struct Space {
     /// Models drawn from the fit's covariance.
     pub draws: usize,
     /// Threads.
+    #[serde(skip)]
     pub jobs: usize,
 }
 
+impl Default for Space {
+    fn default() -> Self {
+        Self {
+            stiffness_n_m: geometric(10e3, 6e6, 11),
+            total_gap_m: linear(0.005, 0.045, 9),
+            draws: 60,
+            jobs: parallel::cores(),
+        }
+    }
+}
+
 /// Bumper and gap with what is predicted.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub struct Design {
     /// Name of a tried device, `B1-G2`; `null` for a design of the map.
     pub device: Option<String>,
@@ -55,7 +67,7 @@ pub struct Design {
 }
 
 /// The map of one problem.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct Map {
     /// Which problem.
     pub problem: Problem,
@@ -74,7 +86,7 @@ pub struct Map {
 }
 
 /// The whole answer.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct Optimum {
     /// RMS of the logarithmic errors of the model that was identified.
     pub rms: f64,
@@ -113,7 +125,7 @@ pub fn optimise(
     tell("identifying the model");
     let fit = Fit::new(configuration, cells, Freedom { effects, ..Freedom::default() });
     let some: Vec<&Cell> = cells.iter().collect();
-    let fitted = fit.fit(&some, Effort::QUICK)?;
+    let fitted = fit.fit(&some, Effort::HELD_OUT)?;
     let mut levels_g: Vec<f64> = configuration.cases.iter().map(|case| case.acceleration_g).collect();
     levels_g.sort_by(f64::total_cmp);
     levels_g.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
@@ -145,7 +157,7 @@ pub fn optimise(
     }
     let law = bench.damping_law(&fitted.x)?;
     (!maps.is_empty()).then_some(Optimum {
-        rms: fitted.rms,
+        rms: bench.fit.rms(&fitted.x, &some)?,
         damping_law: [law.0, law.1],
         draws: draws.len(),
         maps,

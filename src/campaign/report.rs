@@ -1,6 +1,7 @@
 //! The report of a campaign: one self-contained page, every figure as an SVG of its own, every table as CSV.
 
 use super::CampaignError;
+use super::design_map::DesignMap;
 use super::figures::{self, Against, Figure};
 use super::peaks::{CasePeaks, Contact, LogError, rms};
 use super::store::{CaseResult, Store, write_whole};
@@ -20,6 +21,9 @@ pub struct Written {
     pub tables: Vec<PathBuf>,
 }
 
+/// A heat map with its name and caption.
+pub type NamedMap = (String, HeatMap, String);
+
 /// Every figure of the study, in the order of the page.
 pub fn all_figures(study: &Study) -> Vec<Figure> {
     let mut all = Vec::new();
@@ -36,7 +40,7 @@ pub fn all_figures(study: &Study) -> Vec<Figure> {
 
 /// Heat maps with their names and captions: against the published table where there is one, and the onboard
 /// model against what was measured.
-pub fn all_maps(study: &Study) -> Vec<(String, HeatMap, String)> {
+pub fn all_maps(study: &Study) -> Vec<NamedMap> {
     let pairs = [
         (Origin::Measured, Origin::Published, "Measured in this campaign against the published table"),
         (Origin::Model, Origin::Published, "Onboard model against the published table"),
@@ -63,11 +67,16 @@ fn origins(study: &Study) -> Vec<Origin> {
     Origin::ALL.into_iter().filter(there).collect()
 }
 
-/// Writes page, figures and tables into the folder of a campaign.
+/// Writes page, figures and tables into the folder of a campaign, with the design map where there is one.
 ///
 /// # Errors
 /// [`CampaignError`] when there is no result, or a file cannot be written.
-pub fn write(store: &Store, study: &Study, results: &[CaseResult]) -> Result<Written, CampaignError> {
+pub fn write(
+    store: &Store,
+    study: &Study,
+    results: &[CaseResult],
+    designs: Option<&DesignMap>,
+) -> Result<Written, CampaignError> {
     if results.is_empty() {
         return Err(CampaignError::Empty { path: store.path().to_owned() });
     }
@@ -100,7 +109,7 @@ pub fn write(store: &Store, study: &Study, results: &[CaseResult]) -> Result<Wri
         write_whole(&path, &map.svg()?)?;
         written.figures.push(path);
     }
-    page(store, study, results, &all, &maps)?.write(&written.page)?;
+    page(store, study, results, (&all, &maps, designs))?.write(&written.page)?;
     Ok(written)
 }
 
@@ -108,8 +117,7 @@ fn page(
     store: &Store,
     study: &Study,
     results: &[CaseResult],
-    all: &[Figure],
-    maps: &[(String, HeatMap, String)],
+    (all, maps, designs): (&[Figure], &[NamedMap], Option<&DesignMap>),
 ) -> Result<Page, CampaignError> {
     let spec = &study.configuration.spec;
     let mut page = Page::new(&format!("Campaign {}", spec.name));
@@ -152,6 +160,14 @@ fn page(
         let prefix = format!("trade-off-{}-", problem.name());
         page.figures(&of(&prefix))?;
         page.table(&choices_table(study, problem));
+    }
+    if let Some(designs) = designs {
+        page.section("Design map: between and beyond what was tried");
+        page.text(&designs.about());
+        for (_, map, caption) in designs.figures() {
+            page.drawing(&map.inline_svg()?, &caption);
+        }
+        page.table(&designs.summary());
     }
     showcases(store, study, results, &mut page)?;
     let text = toml::to_string(spec).map_err(|error| CampaignError::file(store.path(), error))?;

@@ -4,7 +4,7 @@
 use super::peaks::{self, CasePeaks, LogError, Peaks, Source};
 use super::spec::{CaseKey, Configuration};
 use super::store::CaseResult;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Where peaks come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -33,7 +33,7 @@ impl Origin {
 }
 
 /// The two problems of the paper: what is normalised by what.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Problem {
     /// Displacements: eta_0 = E/E_0, alpha_0 = A/A_0 by free flight at the same A_G.

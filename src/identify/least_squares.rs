@@ -205,7 +205,8 @@ fn damped_step(
     Some((0..n).map(|j| solution[j] * s[j]).collect())
 }
 
-fn prior_sum(free: &[Free], x: &[f64]) -> f64 {
+/// Squares of the priors: how far values lie from what was expected of them.
+pub fn prior_sum(free: &[Free], x: &[f64]) -> f64 {
     free.iter()
         .zip(x)
         .filter(|(f, _)| f.prior.1.is_finite())

@@ -20,8 +20,8 @@ pub struct Args {
     /// Only these bumpers, as in B0,B1,B2; without it those whose numbers are not assumed.
     #[arg(long, value_delimiter = ',')]
     bumpers: Vec<String>,
-    /// Effects that are judged on left-out gaps.
-    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u8).range(1..=30))]
+    /// Effects that are fitted in full; those that do well are judged on left-out gaps.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=30))]
     finalists: u8,
     /// Print one JSON object on standard output.
     #[arg(long)]
@@ -72,8 +72,13 @@ pub(super) fn execute(args: Args) -> Result<Outcome, CliError> {
     let origin = args.peaks.origin();
     let given = given(&study, &args)?;
     let jobs = crate::parallel::cores();
-    let depth =
-        Depth { full: Effort::FULL, first: Effort::QUICK, finalists: usize::from(args.finalists), jobs };
+    let depth = Depth {
+        full: Effort::FULL,
+        held_out: Effort::HELD_OUT,
+        first: Effort::QUICK,
+        finalists: usize::from(args.finalists),
+        jobs,
+    };
     let bar = ProgressBar::new_spinner();
     let tell = |what: &str| {
         bar.set_message(what.to_owned());

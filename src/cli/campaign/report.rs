@@ -1,6 +1,7 @@
 //! `campaign report` and `campaign compare`.
 
-use super::{Place, refused};
+use super::{Place, optimise, refused};
+use crate::campaign::design_map::DesignMap;
 use crate::campaign::peaks::{LogError, rms};
 use crate::campaign::tables::{Origin, Study};
 use crate::campaign::{report, spec::read_published};
@@ -15,6 +16,9 @@ pub struct Args {
     /// Only this figure, as an SVG on standard output (names as in figures/, without .svg).
     #[arg(long)]
     figure: Option<String>,
+    /// Leave the design map out where none was made yet by `campaign optimise`.
+    #[arg(long)]
+    no_design_map: bool,
     /// Print one JSON object on standard output.
     #[arg(long)]
     json: bool,
@@ -44,7 +48,12 @@ pub(super) fn execute(args: Args) -> Result<Outcome, CliError> {
     if let Some(name) = &args.figure {
         return one(&study, name);
     }
-    let written = report::write(&store, &study, &results).map_err(refused)?;
+    let map = if args.no_design_map || results.is_empty() {
+        DesignMap::kept(&store).map_err(refused)?
+    } else {
+        optimise::kept_or_made(&study, &store)?
+    };
+    let written = report::write(&store, &study, &results, map.as_ref()).map_err(refused)?;
     if args.json {
         println!("{}", serde_json::to_value(&written).map_err(CliError::failed)?);
     } else {

@@ -124,6 +124,11 @@ impl<const N: usize> General<N> {
                 h = rest;
             }
             let (step, excess) = self.controlled(t, &mut h, &now, drive, motion);
+            if !step.end.iter().all(|y| y.is_finite()) {
+                // A model that runs away (a loss below zero, say) leaves no state to go on from.
+                self.y = [f64::NAN; N];
+                break;
+            }
             let guards = {
                 let at = (self.time_s + t + h, drive.at(t + h));
                 let forces =

@@ -97,3 +97,13 @@ fn a_start_in_the_middle_of_a_record_goes_on_at_its_time() {
     }
     assert!(apart > 1e-4, "the time made no difference: {apart} m");
 }
+
+#[test]
+fn a_model_that_runs_away_ends_without_a_state() {
+    let mut model = b1_g2();
+    model.effects.push(effect("quadratic-damping", &[("c2_n_s2_m2", -1e5)]));
+    let input: Vec<f64> = (1..=4096).map(|i| 1.0 * (TAU * 1.3 * f64::from(i) * DT).sin()).collect();
+    let history = simulate_sampled(&model, DT, &input).expect("builds");
+    assert!(history.relative_displacement_m[200].is_finite());
+    assert!(history.relative_displacement_m[input.len() - 1].is_nan());
+}
