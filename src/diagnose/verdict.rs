@@ -85,6 +85,19 @@ pub fn gain(better: &Trial, worse: &Trial) -> f64 {
     0.5 * independent * (worse.force.mean().max(1e-300) / better.force.mean().max(1e-300)).ln()
 }
 
+/// How much better the first of two trials is over the whole record, nats: on the held-out steps, and on those of the fit less
+/// half the logarithm of the independent samples for each parameter more (Schwarz 1978).
+pub fn apart(better: &Trial, worse: &Trial) -> f64 {
+    gain(better, worse) + evidence(better, worse)
+}
+
+/// The part of the steps that were fitted.
+fn evidence(trial: &Trial, from: &Trial) -> f64 {
+    let extra = trial.dimension() as f64 - from.dimension() as f64;
+    let independent = trial.training as f64 / trial.colour.max(1.0);
+    trial.training_gain(from) - 0.5 * extra * independent.max(1.0).ln()
+}
+
 /// Share of the excess that a flexible model has to see on held-out steps before it is called structure; and an excess,
 /// in units of the noise, that is structure whatever the flexible model sees.
 const STRUCTURED: f64 = 0.2;
@@ -150,18 +163,20 @@ fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(
         .iter()
         .filter(|trial| {
             gain(trial, from) > thresholds.gain
-                && evident(trial, from, thresholds)
+                // A gain on held-out steps alone may be one lucky step.
+                && evidence(trial, from) > thresholds.gain
                 && excludes_zero(trial, from)
                 && follows(trial, from, thresholds)
         })
         .collect();
-    let best = passed.first()?;
-    let equals: Vec<&&Trial> = passed.iter().filter(|trial| gain(best, trial) < thresholds.tie).collect();
+    let best =
+        passed.iter().copied().reduce(|best, trial| if apart(trial, best) > 0.0 { trial } else { best })?;
+    let equals: Vec<&&Trial> = passed.iter().filter(|trial| apart(best, trial) < thresholds.tie).collect();
     let is_simpler = |a: &Trial, b: &Trial| contained_in(&last_name(b)).contains(&last_name(a).as_str());
     let chosen = equals
         .iter()
         .find(|a| equals.iter().all(|b| !is_simpler(b, a)) && equals.iter().any(|b| is_simpler(a, b)))
-        .map_or(*best, |a| **a);
+        .map_or(best, |a| **a);
     let rivals = equals
         .iter()
         .filter(|trial| last_name(trial) != last_name(chosen) && !is_simpler(chosen, trial))
@@ -184,14 +199,6 @@ fn sharpen(trial: &mut Trial, from: &Trial) {
     {
         refit.sigmas[j] = refit.sigmas[j].min(refit.fit.values[j].abs() / (2.0 * gained).sqrt());
     }
-}
-
-/// The fit itself says that the effect is there: what it gained on the training steps, less half the logarithm of the
-/// independent samples for each parameter (Schwarz 1978). A gain on held-out steps alone may be one lucky step.
-fn evident(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
-    let extra = trial.dimension() as f64 - from.dimension() as f64;
-    let independent = trial.training as f64 / trial.colour.max(1.0);
-    trial.training_gain(from) - 0.5 * extra * independent.max(1.0).ln() > thresholds.gain
 }
 
 /// The simulated response of held-out steps is better, or no worse than chance has it: in its mean, or in most of the
@@ -221,16 +228,12 @@ fn excludes_zero(trial: &Trial, from: &Trial) -> bool {
 }
 
 fn weigh(finalists: &[Trial], thresholds: Thresholds) -> Vec<(String, f64)> {
-    let Some(best) = finalists.first() else { return Vec::new() };
+    let better = |best, trial| if apart(trial, best) > 0.0 { trial } else { best };
+    let Some(best) = finalists.iter().reduce(better) else { return Vec::new() };
     // A tie is even odds; the scale of the tie takes the place of a nat, since model error and
     // colour make the likelihood sharper than experience bears out.
-    let weights: Vec<f64> = finalists
-        .iter()
-        .map(|trial| {
-            let extra = trial.dimension() as f64 - best.dimension() as f64;
-            (-(gain(best, trial) + 0.5 * extra) / (0.5 * thresholds.tie)).exp()
-        })
-        .collect();
+    let weights: Vec<f64> =
+        finalists.iter().map(|trial| (-apart(best, trial) / (0.5 * thresholds.tie)).exp()).collect();
     let sum: f64 = weights.iter().sum::<f64>().max(1e-300);
     finalists.iter().zip(weights).map(|(trial, w)| (last_name(trial), w / sum)).collect()
 }
