@@ -3,6 +3,10 @@
 use hil_tests::hidden::{self, Recipe};
 use shaketable::diagnose::live::evidence;
 use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose, diagnose_together};
+use shaketable::model::ModelSpec;
+use shaketable::record::Record;
+use shaketable::record::data::ReadOptions;
+use std::path::Path;
 
 fn case(seed: u64, effects: &[&'static str], size: f64) -> Diagnosis {
     let recipe = Recipe { seed, effects: effects.to_vec(), foreign: None, size, noise: 1.0 };
@@ -71,4 +75,32 @@ fn a_force_that_no_effect_explains_is_outside_the_catalogue() {
     assert_eq!(found.verdict, Verdict::OutsideCatalogue, "{:?}", found.effects);
     let shape = found.missing_force.expect("a shape");
     assert!(shape.explained_by_surface > 0.5, "{}", shape.explained_by_surface);
+}
+
+/// A component with nothing promised of it, as the book has it.
+const DAMPER: &str = r#"
+name = "damper"
+mass_kg = 1.0
+[isolator]
+stiffness_n_m = [1e5]
+breakpoints_m = []
+damping_n_s_m = 1e4
+[uncertainty]
+isolator.stiffness_n_m = [1.0]
+isolator.damping_n_s_m = 1.0
+"#;
+
+#[test]
+fn the_measured_damper_shows_memory_then_play() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/friction-damper-backlash");
+    if !folder.is_dir() {
+        eprintln!("measured files are not beside this checkout: nothing to diagnose");
+        return;
+    }
+    let record = Record::open(&folder.join("0.5Hz36lb1in.parquet"), &ReadOptions::default()).expect("read");
+    let nominal: ModelSpec = toml::from_str(DAMPER).expect("a model");
+    let found = diagnose(&record, &nominal, &Options::default()).expect("a sound record");
+    let named: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+    assert_eq!((found.verdict, named), (Verdict::Missing, vec!["bouc-wen-hysteresis", "backlash"]));
+    assert!(found.error_after < 0.3 * found.error_reidentified, "{}", found.error_after);
 }
