@@ -87,21 +87,22 @@ impl<'a> Searcher<'a> {
         let mut fitting = Problem::new(motion, nominal, effort.fitting_samples);
         let mut fitted: Option<Refit> = None;
         // A component on its own has no contact to be beside of, and its given model may promise next to nothing.
-        let rounds: &[f64] = if motion.kind == Kind::Component { &[] } else { &[WIDE, NARROW, NARROW] };
-        for &around in rounds {
-            if let Some(base) = trial::base_by_force(&screening, nominal, fitted.as_ref()) {
-                let base = reached(&screening, nominal, base);
-                screening.weigh(&base.spec, base.zero_m, around);
-                fitting.weigh(&base.spec, base.zero_m, around);
+        if motion.kind != Kind::Component {
+            for around in [WIDE, NARROW, NARROW] {
+                if let Some(base) = trial::base_by_force(&screening, nominal, fitted.as_ref()) {
+                    let base = reached(&screening, nominal, base);
+                    screening.weigh(&base.spec, base.zero_m, around);
+                    fitted = Some(base);
+                }
+            }
+            if let Some(base) = &fitted {
+                fitting.weigh(&base.spec, base.zero_m, NARROW);
+            }
+            if let Some(base) = trial::base_by_force(&fitting, nominal, fitted.as_ref()) {
+                screening.weigh(&base.spec, base.zero_m, NARROW);
+                fitting.weigh(&base.spec, base.zero_m, NARROW);
                 fitted = Some(base);
             }
-        }
-        if let Some(base) =
-            fitted.as_ref().and_then(|_| trial::base_by_force(&fitting, nominal, fitted.as_ref()))
-        {
-            screening.weigh(&base.spec, base.zero_m, NARROW);
-            fitting.weigh(&base.spec, base.zero_m, NARROW);
-            fitted = Some(base);
         }
         let stride = total.div_ceil(effort.output_samples.max(1)).max(1);
         Self { motion, effort, screening, fitting, fitted, stride }
@@ -128,12 +129,11 @@ impl<'a> Searcher<'a> {
         let base = trial::base_by_force(&self.screening, nominal, self.fitted.as_ref())?;
         let scales = candidates::scales(&base.spec, self.motion);
         let effects = candidates::physical(&base.spec, self.motion.kind);
-        let colour = base.inflation.max(1.0);
-        let independent = self.screening.weighted_count(Part::Training) as f64 / colour;
+        let count = self.screening.weighted_count(Part::Training);
         let nats = |refit: &Refit| {
-            let added = (refit.fit.values.len() - base.fit.values.len()) as f64;
-            let gained = 0.5 * (trial::objective(&base) - trial::objective(refit)) / colour;
-            gained - 0.5 * added * independent.max(1.0).ln()
+            let added = refit.fit.values.len() as f64 - base.fit.values.len() as f64;
+            let fall = trial::objective(&base) - trial::objective(refit);
+            trial::schwarz_nats(fall, added, count, base.inflation)
         };
         let best = self.screen(&base, &effects, &scales);
         let mut found: Vec<_> = best.iter().map(|(name, refit)| (*name, nats(refit))).collect();

@@ -159,6 +159,13 @@ pub fn objective(refit: &Refit) -> f64 {
     refit.fit.residual_sum + refit.fit.prior_sum
 }
 
+/// What a fall of the objective is worth, nats: coloured residuals considered, less half the logarithm of the independent ones
+/// for each parameter added (Schwarz 1978).
+pub fn schwarz_nats(fall: f64, added: f64, count: usize, colour: f64) -> f64 {
+    let colour = colour.max(1.0);
+    0.5 * fall / colour - 0.5 * added * (count as f64 / colour).max(1.0).ln()
+}
+
 /// Re-fits from the values of `from`, on another problem or in another domain.
 pub fn polish(problem: &Problem<'_>, from: &Refit, domain: Domain, settings: Settings) -> Option<Refit> {
     let mut numbers = from.numbers.clone();

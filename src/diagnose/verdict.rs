@@ -3,7 +3,7 @@
 use super::candidates::contained_in;
 use super::search::Search;
 use super::structure::Structure;
-use super::trial::Trial;
+use super::trial::{Trial, schwarz_nats};
 use serde::Serialize;
 
 /// The answer.
@@ -93,9 +93,8 @@ pub fn apart(better: &Trial, worse: &Trial) -> f64 {
 
 /// The part of the steps that were fitted.
 fn evidence(trial: &Trial, from: &Trial) -> f64 {
-    let extra = trial.dimension() as f64 - from.dimension() as f64;
-    let independent = trial.training as f64 / trial.colour.max(1.0);
-    trial.training_gain(from) - 0.5 * extra * independent.max(1.0).ln()
+    let added = trial.dimension() as f64 - from.dimension() as f64;
+    schwarz_nats(from.objective - trial.objective, added, trial.training, trial.colour)
 }
 
 /// Share of the excess that a flexible model has to see on held-out steps before it is called structure; and an excess,
