@@ -160,6 +160,15 @@ fn jitter_is_resampled_and_gaps_are_bridged_and_both_are_said() {
 }
 
 #[test]
+fn a_stamp_beyond_all_counting_is_refused() {
+    let mut time: Vec<f64> = (0..4000).map(|i| f64::from(i) / 1000.0).collect();
+    time.truncate(3990);
+    time.extend([1e30, 2e30]);
+    let refused = open_text(&component(&time, f64::sin)).expect_err("no record").to_string();
+    assert!(refused.contains("sampling intervals"), "{refused}");
+}
+
+#[test]
 fn numbers_that_are_none_are_bridged_and_said() {
     let mut text = String::from("time_s,displacement_m,force_n\n");
     for i in 0..200 {

@@ -111,7 +111,8 @@ impl Grid {
             let mut at = 0u64;
             place.push(at);
             for pair in time_s.windows(2) {
-                at += ((pair[1] - pair[0]) / interval).round().max(1.0) as u64;
+                // A stamp may be so far off that its place overflows: that is refused below.
+                at = at.saturating_add(((pair[1] - pair[0]) / interval).round().max(1.0) as u64);
                 place.push(at);
             }
             (start, interval) = line(&place, time_s);
@@ -120,7 +121,7 @@ impl Grid {
         if last as f64 > (1.0 + MOST_BRIDGED) * time_s.len() as f64 + 1000.0 {
             let reason = format!(
                 "time_s spans {} sampling intervals of {interval:.6e} s but has {} samples",
-                last + 1,
+                last.saturating_add(1),
                 time_s.len()
             );
             return Err(content(path, reason));
