@@ -81,14 +81,14 @@ pub fn diagnose(
     let common = Freedom { common_stiffness: true, ..Freedom::default() };
     let mut ladder = vec![study.rung(fixed)?];
     for freedom in [common, Freedom::default()] {
-        tell(&freedom.name());
         ladder.push(study.rung(freedom)?);
+        tell(&ladder[ladder.len() - 1].line());
     }
     let mut best = ladder.len() - 1;
     let (finalists, mut refused) = first_look(&study, &ladder[best].x, tell)?;
     tell(&format!("gaps left out: {}", finalists.join(", ")));
     let with = |name: &&'static str| Freedom { effects: vec![*name], ..Freedom::default() };
-    let mut taken = study.judged(finalists.iter().map(with).collect(), &ladder[best], &mut refused);
+    let mut taken = study.judged(finalists.iter().map(with).collect(), &ladder[best], &mut refused, tell);
     simplest(&mut taken, &mut refused);
     let equal = equals(&taken);
     best = plainest(&taken, &equal).map_or(best, |at| ladder.len() + at);
@@ -98,7 +98,7 @@ pub fn diagnose(
     let with =
         |correction| Freedom { effects: on_top.clone(), corrections: vec![correction], ..Freedom::default() };
     let corrected =
-        study.judged(Correction::ALL.into_iter().map(with).collect(), &ladder[best], &mut refused);
+        study.judged(Correction::ALL.into_iter().map(with).collect(), &ladder[best], &mut refused, tell);
     let corrections = equals(&corrected);
     best = if corrected.is_empty() { best } else { ladder.len() };
     ladder.extend(corrected);
@@ -110,12 +110,13 @@ pub fn diagnose(
     let cannot_tell = cannot_tell(&ladder[best], given.repeats);
     tell("entries that fit no trend");
     let freedom = ladder[best].freedom.clone();
-    let odd = odd_entries(configuration, &given.all, freedom.clone(), depth.first).unwrap_or_default();
+    let odd = odd_entries(configuration, &given.all, freedom.clone(), depth.held_out).unwrap_or_default();
     let mut all_bumpers = None;
     if given.all.len() > given.cells.len() {
         tell("all bumpers");
         let cells = without(&given.all, &odd);
         all_bumpers = Study { cells: &cells, ..study }.rung(freedom);
+        all_bumpers.iter().for_each(|rung| tell(&rung.line()));
     }
     let (scatter, next) = (given.repeats, NEXT.to_vec());
     Some(Diagnosis {
@@ -143,7 +144,13 @@ const NEXT: [&str; 4] = [
 
 impl Study<'_> {
     /// Those rungs whose squares of the gaps left out fall decisively below those of a base, best first.
-    fn judged(&self, freedoms: Vec<Freedom>, base: &Rung, refused: &mut Vec<Refused>) -> Vec<Rung> {
+    fn judged(
+        &self,
+        freedoms: Vec<Freedom>,
+        base: &Rung,
+        refused: &mut Vec<Refused>,
+        tell: &(dyn Fn(&str) + Sync),
+    ) -> Vec<Rung> {
         let fits = self.wholes(&freedoms);
         let least = fits.iter().flatten().map(|fit| fit.cost).fold(f64::INFINITY, f64::min);
         let mut near = Vec::new();
@@ -161,6 +168,7 @@ impl Study<'_> {
         }
         let mut taken = Vec::new();
         for rung in self.rungs(&near) {
+            tell(&rung.line());
             let t = paired(&base.squares, &rung.squares);
             if t >= DECISIVE {
                 taken.push(rung);

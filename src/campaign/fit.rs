@@ -134,7 +134,7 @@ impl<'a> Problem<'a> {
     pub fn new(configuration: &'a Configuration, cells: &[Cell], freedom: Freedom) -> Self {
         let mut free = Vec::new();
         if freedom.common_stiffness {
-            free.push(numbers::factor("factor on all stiffnesses", "1", 1.0, 2.0));
+            free.push(numbers::common_factor(2.0));
         } else if !freedom.fixed {
             numbers::base_numbers(configuration, cells, &mut free);
         }
@@ -180,7 +180,7 @@ impl<'a> Problem<'a> {
         for (number, x) in self.numbers.iter().zip(x) {
             let value = number.value(*x);
             let key = number.free.key.as_str();
-            if key == "common" {
+            if number.is_common() {
                 model.isolator.stiffness_n_m.iter_mut().for_each(|k| *k *= value);
                 bumper.iter_mut().for_each(|bumper| bumper.stiffness_n_m *= value);
             } else if let Some(key) = key.strip_prefix("base ") {
@@ -308,12 +308,12 @@ impl<'a> Problem<'a> {
     /// viscous damping, so that effects are tried at several sizes and without one the damping is.
     fn looks(&self) -> Vec<Vec<Vec<f64>>> {
         let any = |part: &str| self.numbers.iter().any(|number| number.free.key.contains(part));
-        let stiff: &[f64] =
-            if any("stiffness") || any("common") { &[-0.3, 0.0, 0.3, 0.6, 0.9] } else { &[0.0] };
+        let common = self.numbers.iter().any(Number::is_common);
+        let stiff: &[f64] = if common { &[-0.3, 0.0, 0.3, 0.6, 0.9] } else { &[0.0] };
         let damping: &[f64] = if any("isolator.damping") { &[-1.2, -0.4, 0.0] } else { &[0.0] };
         let at = |k: f64, c: f64| -> Vec<f64> {
             let place = |number: &Number| match number.free.key.as_str() {
-                _ if number.is_stiffness() => k,
+                _ if number.is_common() => k,
                 key if key.contains("isolator.damping") => c,
                 _ => number.free.start,
             };

@@ -53,6 +53,15 @@ pub struct Rung {
     pub(super) x: Vec<f64>,
 }
 
+impl Rung {
+    /// Its errors in one line.
+    pub(super) fn line(&self) -> String {
+        let held =
+            self.held_out.map_or(String::new(), |held| format!(", gaps left out {:.1} %", 100.0 * held));
+        format!("{}: {:.1} %{held}", self.name, 100.0 * self.rms)
+    }
+}
+
 /// A number with its interval.
 #[derive(Clone, Debug, Serialize)]
 pub struct Estimate {
@@ -180,14 +189,25 @@ fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt()
 }
 
+/// The numbers of a model. A stiffness is the product of its own factor and the common one; what tells whether it is
+/// tested is its own.
 fn estimates(problem: &Problem<'_>, fit: &Fitted) -> Vec<Estimate> {
-    let one = |((number, x), sigma): ((&Number, &f64), &f64)| Estimate {
-        name: number.name.replacen("base ", "", 1),
-        unit: number.unit.clone(),
-        value: number.value(*x),
-        low95: number.value(x - 1.96 * sigma),
-        high95: number.value(x + 1.96 * sigma),
-        tested: *sigma < TESTED * number.free.prior.1,
+    let common = problem.numbers.iter().position(Number::is_common);
+    let one = |(i, number): (usize, &Number)| {
+        let (mut x, mut variance) = (fit.x[i], fit.covariance[(i, i)]);
+        if let Some(c) = common.filter(|_| number.is_stiffness()) {
+            x += fit.x[c];
+            variance += fit.covariance[(c, c)] + 2.0 * fit.covariance[(i, c)];
+        }
+        let reach = 1.96 * variance.max(0.0).sqrt();
+        Estimate {
+            name: number.name.replacen("base ", "", 1),
+            unit: number.unit.clone(),
+            value: number.value(x),
+            low95: number.value(x - reach),
+            high95: number.value(x + reach),
+            tested: fit.sigma[i] < TESTED * number.free.prior.1,
+        }
     };
-    problem.numbers.iter().zip(&fit.x).zip(&fit.sigma).map(one).collect()
+    problem.numbers.iter().enumerate().map(one).collect()
 }

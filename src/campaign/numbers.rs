@@ -12,8 +12,13 @@ use crate::model::Scales;
 use crate::model::effects::{Effect, Parameter, Sign};
 use serde::Serialize;
 
-/// Standard deviation of the prior of a stiffness, knee or bumper number (logarithm of its factor).
+/// Key of the factor on all stiffnesses.
+const COMMON: &str = "common";
+/// Standard deviation of the prior of a factor on all stiffnesses, of a knee and of a bumper's damping (logarithm).
 const LOOSE: f64 = 1.5;
+/// The same of one stiffness against the others: a mass or a calibration that is off scales them together, so that
+/// what is common to them is left far more room than their ratios, which come from one static test.
+const RATIO: f64 = 0.3;
 /// The same of the isolator's damping, which a dry loss may replace altogether.
 const DAMPING: f64 = 2.0;
 
@@ -91,10 +96,15 @@ impl Number {
         Self { name: name.to_owned(), unit: unit.to_owned(), kind, free }
     }
 
-    /// A stiffness of isolator or bumper, or the factor on all of them.
+    /// The factor on all stiffnesses.
+    pub(super) fn is_common(&self) -> bool {
+        self.free.key == COMMON
+    }
+
+    /// A stiffness of isolator or bumper, which the factor on all of them multiplies.
     pub(super) fn is_stiffness(&self) -> bool {
         let key = self.free.key.as_str();
-        key == "common" || key.contains("stiffness_n_m") && !key.starts_with("effect ")
+        key.contains("stiffness_n_m") && !key.starts_with("effect ")
     }
 
     /// It moves as the logarithm of a factor.
@@ -111,13 +121,20 @@ impl Number {
     }
 }
 
-pub(super) fn factor(name: &str, unit: &str, nominal: f64, sigma: f64) -> Number {
-    let key = if name.starts_with("factor") { "common" } else { name };
-    let free = Free { key: key.to_owned(), start: 0.0, scale: 1.0, prior: (0.0, sigma), bounds: (-5.0, 5.0) };
+fn factor(name: &str, unit: &str, nominal: f64, sigma: f64) -> Number {
+    let free =
+        Free { key: name.to_owned(), start: 0.0, scale: 1.0, prior: (0.0, sigma), bounds: (-5.0, 5.0) };
     Number::new(name, unit, Kind::Factor(nominal), free)
 }
 
-/// Isolator and every bumper that some cell has.
+/// One factor on the stiffnesses of isolator and bumpers.
+pub(super) fn common_factor(sigma: f64) -> Number {
+    let mut number = factor("factor on all stiffnesses", "1", 1.0, sigma);
+    number.free.key = COMMON.to_owned();
+    number
+}
+
+/// Isolator and every bumper that some cell has: their stiffnesses by a common factor and their ratios.
 pub(super) fn base_numbers(configuration: &Configuration, cells: &[Cell], numbers: &mut Vec<Number>) {
     let model = &configuration.model;
     for key in model.parameter_keys() {
@@ -132,7 +149,11 @@ pub(super) fn base_numbers(configuration: &Configuration, cells: &[Cell], number
         } else {
             "N s/m"
         };
-        let sigma = if key.contains("damping") { DAMPING } else { LOOSE };
+        let sigma = match &key {
+            key if key.contains("damping") => DAMPING,
+            key if key.contains("stiffness") => RATIO,
+            _ => LOOSE,
+        };
         numbers.push(factor(&format!("base {key}"), unit, nominal, sigma));
     }
     for (i, bumper) in configuration.spec.bumper.iter().enumerate() {
@@ -140,11 +161,13 @@ pub(super) fn base_numbers(configuration: &Configuration, cells: &[Cell], number
         if !cells.iter().any(|cell| cell.case.bumper == i) {
             continue;
         }
-        numbers.push(factor(&format!("bumper {} stiffness_n_m", bumper.name), "N/m", k, LOOSE));
+        numbers.push(factor(&format!("bumper {} stiffness_n_m", bumper.name), "N/m", k, RATIO));
         if c > 0.0 {
             numbers.push(factor(&format!("bumper {} damping_n_s_m", bumper.name), "N s/m", c, LOOSE));
         }
     }
+    // Last, because it multiplies what the others set.
+    numbers.push(common_factor(LOOSE));
 }
 
 /// Magnitudes of the campaign: of the first case with a bumper, or of the first.

@@ -80,11 +80,15 @@ pub(super) fn execute(args: Args) -> Result<Outcome, CliError> {
         jobs,
     };
     let bar = ProgressBar::new_spinner();
+    let began = std::time::Instant::now();
+    // Minutes of work: where there is no terminal to draw on, each thing done is a line.
     let tell = |what: &str| {
+        if bar.is_hidden() {
+            eprintln!("{:6.0} s  {what}", began.elapsed().as_secs_f64());
+        }
         bar.set_message(what.to_owned());
         bar.tick();
     };
-    let began = std::time::Instant::now();
     let found = diagnose(&study.configuration, &given, depth, &tell);
     let found = found.ok_or_else(|| CliError::failed("the model of the campaign cannot be simulated"))?;
     bar.finish_and_clear();
