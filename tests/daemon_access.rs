@@ -46,7 +46,7 @@ fn daemon() -> Daemon {
     let file = folder.path().join("tokens.toml");
     let address = "0.0.0.0:8732".parse().expect("address");
     let access = Access::new(address, vec!["bench.lab".into()], Some(&file), false).expect("safe");
-    let app = App::new(desk.clone(), access, None).expect("made");
+    let app = App::new(desk.clone(), access, None, None).expect("made");
     Daemon { router: router(app), desk, tokens: tokens(&file), folder }
 }
 

@@ -7,6 +7,7 @@ use crate::config::{Case, ConfigError};
 use crate::control::session::Pace;
 use crate::control::setup::model_of_case;
 use crate::daemon::desk::{Desk, Options};
+use crate::daemon::publish::PublishSpec;
 use crate::daemon::work::Work;
 use crate::daemon::{DaemonError, Listen, serve};
 use crate::rig::RigSpec;
@@ -37,6 +38,12 @@ pub struct Args {
     /// Folder of the page's files, in place of the built-in ones: for work on the page.
     #[arg(long)]
     page: Option<PathBuf>,
+    /// Publish live data, steps, events and status through a NATS server: a publication file, by name (local) or path.
+    #[arg(long)]
+    publish: Option<String>,
+    /// Name of this table in what it publishes, in place of the file's.
+    #[arg(long, requires = "publish")]
+    table: Option<String>,
     /// Rig, by name or file.
     #[arg(long, default_value = "simulated")]
     rig: String,
@@ -76,12 +83,14 @@ pub struct Args {
 /// Bad configuration, an address that cannot be had or is not safe without tokens.
 pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
+        // The publication says itself what becomes of its connections.
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info,async_nats=off"));
     // A logger that is there already stays.
     let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).try_init();
     if args.tls_certificate.is_some() && rustls::crypto::ring::default_provider().install_default().is_err() {
         return Err(CliError::failed("another TLS library is in use in this process"));
     }
+    let publish = publication(&args)?;
     let desk = Desk::new(options(&args)?);
     let listen = Listen {
         address: args.listen,
@@ -89,6 +98,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         token_file: args.token_file,
         tls: args.tls_certificate.zip(args.tls_key),
         page: args.page,
+        publish,
     };
     let runtime =
         tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(CliError::failed)?;
@@ -113,6 +123,15 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         Err(error @ DaemonError::Access(_)) => Err(CliError::usage(error)),
         Err(error) => Err(CliError::failed(error)),
     }
+}
+
+/// What is to be published where, with its secrets looked at.
+fn publication(args: &Args) -> Result<Option<PublishSpec>, CliError> {
+    let Some(name) = &args.publish else { return Ok(None) };
+    let spec: PublishSpec = find("publish", name)
+        .and_then(|source| source.parse())
+        .map_err(|error| CliError::Usage(error.into()))?;
+    spec.complete(args.table.clone()).map(Some).map_err(CliError::usage)
 }
 
 /// Reads every configuration that the arguments name.

@@ -55,6 +55,7 @@ const BUILT_IN: &[(&str, &str, &str)] = &[
     ("models", "andreaus-2020-b4-g4", include_str!("../../config/models/andreaus-2020-b4-g4.toml")),
     ("campaigns", "andreaus-2020", include_str!("../../config/campaigns/andreaus-2020.toml")),
     ("campaigns", "hidden-friction", include_str!("../../config/campaigns/hidden-friction.toml")),
+    ("publish", "local", include_str!("../../config/publish/local.toml")),
     ("safety", "default", include_str!("../../config/safety.toml")),
     ("sweeps", "andreaus-2020", include_str!("../../config/sweeps/andreaus-2020.toml")),
     ("sweeps", "quick", include_str!("../../config/sweeps/quick.toml")),
@@ -62,12 +63,14 @@ const BUILT_IN: &[(&str, &str, &str)] = &[
     ("sweeps", "dwell", include_str!("../../config/sweeps/dwell.toml")),
 ];
 
-/// Names of the built-in configurations of a kind (`rigs`, `sweeps`, `models`, `campaigns`, `safety`).
+/// Names of the built-in configurations of a kind (`rigs`, `sweeps`, `models`, `campaigns`, `publish`,
+/// `safety`).
 pub fn names(kind: &str) -> impl Iterator<Item = &'static str> {
     BUILT_IN.iter().filter(move |entry| entry.0 == kind).map(|entry| entry.1)
 }
 
-/// Finds a configuration of a kind (`rigs`, `sweeps`, `models`, `campaigns`, `safety`) by path or name.
+/// Finds a configuration of a kind (`rigs`, `sweeps`, `models`, `campaigns`, `publish`,
+/// `safety`) by path or name.
 ///
 /// # Errors
 /// [`ConfigError::Unreadable`] with the names there are when nothing is found.

@@ -4,7 +4,7 @@
 
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
-use std::fs::OpenOptions;
+use std::fs::{Metadata, OpenOptions};
 use std::io::Write;
 use std::net::{IpAddr, SocketAddr};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
@@ -116,6 +116,20 @@ fn random() -> Result<String, std::io::Error> {
     Ok(crate::record::samples::hex(&bytes))
 }
 
+/// Metadata of a file with secrets, which is refused when others can read it.
+///
+/// # Errors
+/// The reason, without the path.
+pub(super) fn private(path: &Path) -> Result<Metadata, String> {
+    let metadata = std::fs::metadata(path).map_err(|error| error.to_string())?;
+    match metadata.mode() & 0o777 {
+        mode if mode & 0o077 != 0 => {
+            Err(format!("mode {mode:04o}; allowed: 0600, readable by its owner only"))
+        }
+        _ => Ok(metadata),
+    }
+}
+
 /// A file of tokens, made on first use and read again when it was changed: the old ones are void then.
 struct TokenFile {
     path: PathBuf,
@@ -144,11 +158,7 @@ impl TokenFile {
 
     fn tokens(&self) -> Result<Tokens, AccessError> {
         let error = |reason: String| AccessError::File { path: self.path.clone(), reason };
-        let metadata = std::fs::metadata(&self.path).map_err(|e| error(e.to_string()))?;
-        if metadata.mode() & 0o077 != 0 {
-            let mode = metadata.mode() & 0o777;
-            return Err(error(format!("mode {mode:04o}; allowed: 0600, readable by its owner only")));
-        }
+        let metadata = private(&self.path).map_err(error)?;
         let changed = metadata.modified().map_err(|e| error(e.to_string()))?;
         let mut read = self.read.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((at, tokens)) = read.as_ref().filter(|(at, _)| *at == changed) {

@@ -130,6 +130,17 @@ pub fn encode(head: &Head, points: &[Point]) -> Vec<u8> {
     bytes
 }
 
+impl Head {
+    /// Reads the head of a frame, and the number of frames that its client had not got by then; `None` when it is no frame.
+    pub fn read(frame: &[u8]) -> Option<(Self, u32)> {
+        let word = |at: usize| Some(u32::from_le_bytes(frame.get(at..at + 4)?.try_into().ok()?));
+        let [MAGIC, 1, kind, _] = *frame.get(..4)? else { return None };
+        let first = u64::from_le_bytes(frame.get(16..24)?.try_into().ok()?);
+        let head = Self { kind, count: word(4)?, factor: word(8)?, run: word(12)?, first };
+        Some((head, word(24)?))
+    }
+}
+
 /// Puts the number of frames that this client did not get into the head of its copy.
 pub fn stamp(frame: &mut [u8], dropped: u32) {
     if let Some(place) = frame.get_mut(24..28) {
@@ -153,6 +164,8 @@ mod tests {
         assert_eq!(bytes[16..24], [8, 7, 6, 5, 4, 3, 2, 1]);
         assert_eq!(bytes[24..32], [5, 0, 0, 0, 0, 0, 0, 0]);
         assert_eq!(bytes[32..40], [0, 0, 128, 63, 0, 0, 0, 64]);
+        assert_eq!(Head::read(&bytes), Some((head, 5)));
+        assert_eq!(Head::read(&bytes[..HEAD - 5]), None);
     }
 
     #[test]

@@ -7,14 +7,18 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
+use tokio::sync::broadcast;
 
 /// Entries that the page is shown.
 const REMEMBERED: usize = 200;
+/// Runs that may begin before someone who follows them looks.
+const BEGUN: usize = 16;
 
 /// The journal; shared by all handlers.
 pub struct Journal {
     path: PathBuf,
     inner: Mutex<Inner>,
+    begun: broadcast::Sender<PathBuf>,
 }
 
 #[derive(Default)]
@@ -29,7 +33,11 @@ struct Inner {
 impl Journal {
     /// Appends to `events.jsonl` in a folder.
     pub fn new(folder: &Path) -> Self {
-        Self { path: folder.join("events.jsonl"), inner: Mutex::default() }
+        Self {
+            path: folder.join("events.jsonl"),
+            inner: Mutex::default(),
+            begun: broadcast::channel(BEGUN).0,
+        }
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, Inner> {
@@ -64,7 +72,19 @@ impl Journal {
         if let Err(error) = append(&events, &before) {
             inner.failed = Some(format!("{}: {error}", events.display()));
         }
-        inner.run = Some(events);
+        inner.run = Some(events.clone());
+        // Nobody has to follow.
+        let _ = self.begun.send(events);
+    }
+
+    /// Tells the `events.jsonl` of every run that begins from now on.
+    pub fn runs(&self) -> broadcast::Receiver<PathBuf> {
+        self.begun.subscribe()
+    }
+
+    /// Whether lines may still be added to the `events.jsonl` of a run.
+    pub fn is_open(&self, events: &Path) -> bool {
+        self.lock().run.as_deref() == Some(events)
     }
 
     /// The run is over.
@@ -97,9 +117,12 @@ mod tests {
         let journal = Journal::new(folder.path());
         journal.note("operator", "arm", json!({}));
         let run = folder.path().join("run.jsonl");
+        let mut runs = journal.runs();
         journal.begin_run(run.clone());
+        assert!(runs.try_recv().expect("told") == run && journal.is_open(&run));
         journal.note("viewer", "stop", json!({"reason": "noise"}));
         journal.end_run();
+        assert!(!journal.is_open(&run));
         journal.note("operator", "reset", json!({}));
         let did = |path: &Path| -> Vec<String> {
             let text = std::fs::read_to_string(path).expect("written");

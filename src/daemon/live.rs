@@ -50,6 +50,8 @@ struct Shared {
     tiers: Vec<Tier>,
     clients: Vec<Client>,
     run: u32,
+    /// Folder name of that run.
+    id: String,
     next_sequence: u64,
     meters: Meters,
 }
@@ -79,6 +81,7 @@ impl Default for Hub {
             tiers: tiers(2048.0),
             clients: Vec::new(),
             run: 0,
+            id: String::new(),
             next_sequence: 0,
             meters: Meters::default(),
         };
@@ -106,6 +109,11 @@ fn tiers(rate_hz: f64) -> Vec<Tier> {
         }
     };
     TIERS.into_iter().map(tier).collect()
+}
+
+/// A window (s) that is shown with so many rows joined into two points; `None` when no window is.
+pub fn window_of(rows: u64) -> Option<f64> {
+    TIERS.iter().find(|(factor, _)| *factor == rows).map(|(_, longest_s)| *longest_s)
 }
 
 /// The resolution that serves a window.
@@ -191,13 +199,19 @@ impl Hub {
         }
     }
 
+    /// Number of the run that frames show, and its folder name.
+    pub fn run(&self) -> (u32, String) {
+        let shared = self.lock();
+        (shared.run, shared.id.clone())
+    }
+
     /// Feeds the clients from a run's ring until the control thread lets its end go. Runs on a thread of
     /// its own.
-    pub fn follow(&self, mut view: ViewEnd, rate_hz: f64, half_gap_m: Option<f64>) {
+    pub fn follow(&self, id: String, mut view: ViewEnd, rate_hz: f64, half_gap_m: Option<f64>) {
         let mut gauge = Gauge::new(rate_hz, half_gap_m);
         {
             let mut shared = self.lock();
-            shared.run = shared.run.wrapping_add(1);
+            (shared.run, shared.id) = (shared.run.wrapping_add(1), id);
             shared.tiers = tiers(rate_hz);
             shared.meters = Meters::default();
         }
@@ -339,8 +353,8 @@ mod tests {
 
     fn head(message: &Message) -> (u8, u32, u64, u32) {
         let Message::Binary(bytes) = message else { panic!("binary: {message:?}") };
-        let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("4 bytes"));
-        (bytes[2], word(4), u64::from_le_bytes(bytes[16..24].try_into().expect("8 bytes")), word(24))
+        let (head, dropped) = Head::read(bytes).expect("a frame");
+        (head.kind, head.count, head.first, dropped)
     }
 
     #[test]
@@ -411,7 +425,8 @@ mod tests {
             control.publish(&Row { sample: Sample { sequence, ..Sample::default() }, ..Row::default() });
         }
         drop(control);
-        hub.follow(view, 2048.0, None);
+        hub.follow("night".into(), view, 2048.0, None);
+        assert_eq!(hub.run(), (1, "night".to_owned()));
         let _past = client.queue.try_recv().expect("past");
         assert_eq!(head(&client.queue.try_recv().expect("rows")).1, 100);
         assert_eq!(hub.newest(), 99);

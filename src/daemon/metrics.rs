@@ -2,6 +2,7 @@
 //! Numbers that the desk and the live view keep anyhow are read when asked; requests are counted here.
 
 use super::desk::Desk;
+use super::publish::Publication;
 use super::state::State;
 use axum::http::{Method, StatusCode};
 use prometheus_client::encoding::text::encode;
@@ -40,6 +41,31 @@ impl EncodeLabelValue for StateLabel {
     }
 }
 
+/// What is told of the publication; all zero without one.
+const PUBLISHED: [(&str, &str); 8] = [
+    ("publication_connected", "1 while the NATS server is connected"),
+    ("publication_connections", "Connections to the NATS server"),
+    ("publication_messages", "Messages that the NATS server has confirmed"),
+    ("publication_frames_dropped", "Live frames that did not, or not surely, reach the NATS server"),
+    ("publication_resent", "Events and steps sent again after a connection was lost"),
+    ("publication_waiting_bytes", "Bytes of events that the NATS server has not confirmed yet"),
+    ("publication_lines_dropped", "Events and steps that cannot be published"),
+    ("publication_runs_dropped", "Runs of which not everything was published"),
+];
+
+fn published(p: &Publication) -> [u64; PUBLISHED.len()] {
+    [
+        p.connected.into(),
+        p.connections,
+        p.messages,
+        p.frames_dropped,
+        p.resent,
+        p.waiting_bytes,
+        p.lines_dropped,
+        p.runs_dropped,
+    ]
+}
+
 /// The registry and what is set when it is asked for.
 pub struct Metrics {
     registry: Registry,
@@ -49,6 +75,7 @@ pub struct Metrics {
     clients: Gauge,
     dropped: Gauge,
     sent: Gauge,
+    published: [Gauge; PUBLISHED.len()],
     runs: Gauge,
     slips: Gauge,
     lost: Gauge,
@@ -74,6 +101,7 @@ impl Default for Metrics {
         let clients = whole("live_clients", "Clients of the live view");
         let dropped = whole("live_frames_dropped", "Frames that slow clients did not get");
         let sent = whole("live_frames_sent", "Frames sent to clients");
+        let published = PUBLISHED.map(|(name, help)| whole(name, help));
         let runs = whole("runs_started", "Runs started by this daemon");
         let slips = whole("slips", "Slips of the control thread in the present or last run");
         let lost = whole("lost_samples", "Samples lost in the present or last run");
@@ -95,6 +123,7 @@ impl Default for Metrics {
             clients,
             dropped,
             sent,
+            published,
             runs,
             slips,
             lost,
@@ -123,7 +152,7 @@ impl Metrics {
     ///
     /// # Errors
     /// Only what the encoder's formatting can fail with, which is nothing.
-    pub fn text(&self, desk: &Desk) -> Result<String, std::fmt::Error> {
+    pub fn text(&self, desk: &Desk, publication: Option<&Publication>) -> Result<String, std::fmt::Error> {
         let status = desk.status();
         for state in State::ALL {
             self.state
@@ -134,6 +163,9 @@ impl Metrics {
         self.clients.set(clients as i64);
         self.dropped.set(dropped as i64);
         self.sent.set(sent as i64);
+        for (gauge, value) in self.published.iter().zip(publication.map(published).unwrap_or_default()) {
+            gauge.set(value as i64);
+        }
         self.runs.set(desk.runs() as i64);
         self.fill.set(desk.hub.record_fill());
         self.stop.set(desk.stop_latency_s());

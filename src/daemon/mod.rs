@@ -1,7 +1,7 @@
 //! The daemon: the operator's desk over HTTP and WebSocket, with its page. `shaketable serve` starts it.
 //!
 //! [`desk`] keeps the state of the bench, [`run`](desk::Desk::start) drives the sessions of
-//! [`crate::control`], [`live`] hands rows to clients, [`access`] says who may do what, [`http`] is the
+//! [`crate::control`], [`live`] hands rows to clients, [`publish`] to a NATS server, [`access`] says who may do what, [`http`] is the
 //! interface. Losing the page, or all of them, changes nothing on the table.
 
 pub mod access;
@@ -16,6 +16,7 @@ pub mod live;
 pub mod meters;
 pub mod metrics;
 pub mod preview;
+pub mod publish;
 mod run;
 pub mod state;
 pub mod status;
@@ -25,6 +26,7 @@ use access::{Access, AccessError};
 use axum::extract::ws::Utf8Bytes;
 use desk::Desk;
 use http::App;
+use publish::{PublishSpec, Publisher};
 use std::net::{SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -48,6 +50,8 @@ pub struct Listen {
     pub tls: Option<(PathBuf, PathBuf)>,
     /// Folder of the page's files, in place of the built-in ones.
     pub page: Option<PathBuf>,
+    /// Where to publish, complete.
+    pub publish: Option<PublishSpec>,
 }
 
 /// Why the daemon does not run.
@@ -96,7 +100,9 @@ pub async fn serve(
     let socket = TcpListener::bind(listen.address).map_err(failed)?;
     socket.set_nonblocking(true).map_err(failed)?;
     let address = socket.local_addr().map_err(failed)?;
-    let app = App::new(desk.clone(), access.at(address), listen.page.as_deref())?;
+    let publisher = listen.publish.map(|spec| Publisher::start(desk.clone(), spec));
+    let facts = publisher.as_ref().map(Publisher::facts);
+    let app = App::new(desk.clone(), access.at(address), listen.page.as_deref(), facts)?;
     let teller = tokio::spawn(tell(app.clone()));
     let service = http::router(app.clone()).into_make_service_with_connect_info::<SocketAddr>();
     let handle = axum_server::Handle::new();
@@ -132,6 +138,9 @@ pub async fn serve(
     teller.abort();
     handle.shutdown();
     desk.close().await;
+    if let Some(publisher) = publisher {
+        publisher.close().await;
+    }
     outcome
 }
 

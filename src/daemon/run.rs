@@ -92,9 +92,9 @@ impl Desk {
         };
         self.runs.fetch_add(1, Ordering::Relaxed);
         let id = self.begun(&session, faults, links.clone());
-        let _ = tell.send(Ok(id));
         let half_gap_m = setup.model.bumper.as_ref().map(|bumper| 0.5 * bumper.total_gap_m);
-        let viewer = self.watch(&mut session, setup.rig.sample_rate_hz, half_gap_m);
+        let _ = tell.send(Ok(id.clone()));
+        let viewer = self.watch(id, &mut session, setup.rig.sample_rate_hz, half_gap_m);
         let finished = session.wait(|notice| self.notice(notice));
         if let Some(Ok(viewer)) = viewer
             && viewer.join().is_err()
@@ -156,13 +156,14 @@ impl Desk {
     /// A thread that feeds the live view; without it the run goes on unseen.
     fn watch(
         &self,
+        id: String,
         session: &mut Session,
         rate_hz: f64,
         half_gap_m: Option<f64>,
     ) -> Option<std::io::Result<JoinHandle<()>>> {
         let view = session.take_view()?;
         let hub = self.hub.clone();
-        let follow = move || hub.follow(view, rate_hz, half_gap_m);
+        let follow = move || hub.follow(id, view, rate_hz, half_gap_m);
         let spawned = std::thread::Builder::new().name("live".into()).spawn(follow);
         if let Err(error) = &spawned {
             tracing::error!(%error, "no thread for the live view");

@@ -7,6 +7,11 @@ import { duration, fill, h, percent, short, trying } from "./ui";
 
 interface Entry { at_utc: string; who: string; did: string; what: unknown }
 
+function published(p: NonNullable<Health["publication"]>): string {
+  const stands = p.connected ? "connected" : `not connected${p.error ? `: ${p.error}` : ""}`;
+  return `${p.table} to ${p.server}, ${stands}; ${p.messages} messages, ${p.frames_dropped} frames dropped, ${(p.waiting_bytes / 1e3).toFixed(1)} kB wait`;
+}
+
 export class HealthScreen {
   element: HTMLElement;
   private numbers = h("div", {});
@@ -32,6 +37,7 @@ export class HealthScreen {
       ["live clients", String(health.clients)], ["frames sent / dropped", `${health.frames_sent} / ${health.frames_dropped}`],
       ["this page", `${this.live.up ? "connected" : "not connected"}, ${this.rate.toFixed(0)} frames/s, ${this.live.dropped} dropped`],
       ...(health.links?.map(({ name, count }): [string, string] => [name, String(count)]) ?? [["CRC and CAN errors", "simulated rig: no links"] as [string, string]]),
+      ...(health.publication ? [["publication", published(health.publication)] as [string, string]] : []),
       ...(health.journal ? [["journal", health.journal] as [string, string]] : []),
     ];
     fill(this.numbers, h("table", { class: "small" }, h("tbody", {}, rows.map(([name, value]) => h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, value))))));

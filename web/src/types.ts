@@ -158,6 +158,7 @@ export interface Health {
   runs_folder: string; ring_fill: number; clients: number; frames_dropped: number; frames_sent: number;
   stop_latency_s: number; real_time: string | null; timing: Timing | null; slips: number; lost_samples: number;
   links: { name: string; count: number }[] | null; journal: string | null;
+  publication: { server: string; table: string; connected: boolean; messages: number; frames_dropped: number; waiting_bytes: number; error: string | null } | null;
 }
 
 export interface Rights { view: boolean; operate: boolean; configure: boolean }

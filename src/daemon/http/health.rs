@@ -3,6 +3,7 @@
 use super::App;
 use super::error::ApiError;
 use crate::control::TimingReport;
+use crate::daemon::publish::Publication;
 use axum::Json;
 use axum::extract::State;
 use axum::http::header;
@@ -58,6 +59,8 @@ pub struct Health {
     pub lost_samples: u64,
     /// Counters of the links of the present run; absent on a simulated rig.
     pub links: Option<Vec<Count>>,
+    /// How the publication stands; absent without one.
+    pub publication: Option<Publication>,
     /// Why the journal could not be written, if so.
     pub journal: Option<String>,
 }
@@ -102,6 +105,7 @@ pub async fn health(State(app): State<Arc<App>>) -> Json<Health> {
             .desk
             .links()
             .map(|all| all.into_iter().map(|(name, count)| Count { name, count }).collect()),
+        publication: app.publication.as_ref().map(|facts| facts.read()),
         journal: app.desk.journal.failed(),
     })
 }
@@ -110,7 +114,8 @@ pub async fn health(State(app): State<Arc<App>>) -> Json<Health> {
 #[utoipa::path(get, path = "/metrics", tag = "health", responses(
     (status = 200, body = String, content_type = "application/openmetrics-text; version=1.0.0; charset=utf-8")))]
 pub async fn metrics(State(app): State<Arc<App>>) -> Result<Response, ApiError> {
-    let text = app.metrics.text(&app.desk).map_err(ApiError::failed)?;
+    let publication = app.publication.as_ref().map(|facts| facts.read());
+    let text = app.metrics.text(&app.desk, publication.as_ref()).map_err(ApiError::failed)?;
     let kind = "application/openmetrics-text; version=1.0.0; charset=utf-8";
     Ok(([(header::CONTENT_TYPE, kind)], text).into_response())
 }

@@ -15,6 +15,7 @@ use super::access::{Access, Right};
 use super::analysis::Jobs;
 use super::desk::Desk;
 use super::metrics::Metrics;
+use super::publish::Facts;
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
 use axum::extract::ws::Utf8Bytes;
@@ -58,6 +59,8 @@ pub struct App {
     pub limiter: DefaultKeyedRateLimiter<IpAddr>,
     /// The newest status as text, for all clients of the live view.
     pub status: watch::Sender<Utf8Bytes>,
+    /// How the publication stands, if there is one.
+    pub publication: Option<Arc<Facts>>,
     page: page::Page,
     description: String,
     jobs: Jobs,
@@ -71,7 +74,12 @@ impl App {
     ///
     /// # Errors
     /// The page of the folder cannot be read, or no thread for jobs be had.
-    pub fn new(desk: Arc<Desk>, access: Access, page: Option<&Path>) -> std::io::Result<Arc<Self>> {
+    pub fn new(
+        desk: Arc<Desk>,
+        access: Access,
+        page: Option<&Path>,
+        publication: Option<Arc<Facts>>,
+    ) -> std::io::Result<Arc<Self>> {
         let (rate, burst) = REQUESTS;
         let most = |n: u32| NonZeroU32::new(n).unwrap_or(NonZeroU32::MIN);
         let quota = Quota::per_second(most(rate)).allow_burst(most(burst));
@@ -81,6 +89,7 @@ impl App {
             metrics: Metrics::default(),
             limiter: RateLimiter::keyed(quota),
             status: watch::channel(Utf8Bytes::default()).0,
+            publication,
             page: page::Page::new(page)?,
             description: serde_json::to_string(&described())?,
             jobs: Jobs::start()?,
