@@ -128,9 +128,9 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
 /// What is to be published where, with its secrets looked at.
 fn publication(args: &Args) -> Result<Option<PublishSpec>, CliError> {
     let Some(name) = &args.publish else { return Ok(None) };
-    let spec: PublishSpec = find("publish", name)
-        .and_then(|source| source.parse())
-        .map_err(|error| CliError::Usage(error.into()))?;
+    // Said without the excerpt of the file, which could show a secret that someone has put there.
+    let spec: PublishSpec =
+        find("publish", name).and_then(|source| source.parse()).map_err(CliError::usage)?;
     spec.complete(args.table.clone()).map(Some).map_err(CliError::usage)
 }
 
