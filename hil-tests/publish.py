@@ -27,7 +27,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import urllib.error
 import urllib.request
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -469,20 +468,16 @@ async def main() -> int:
             if not usual or chance < 3:
                 usual = await measured("quiet", quiet, shaketable, program)
             found = await measured(name, part, shaketable, program)
-            slips, allowed = most_slips(found), 2 * most_slips(usual) + MORE_SLIPS
+            slips, before = (max(one["slips"] for one in ones) for ones in (found, usual))
             done = all(one["outcome"] == "done" for one in found)
-            if done and slips <= allowed:
+            if done and slips <= 2 * before + MORE_SLIPS:
                 break
-            why = f"{slips} slips, {most_slips(usual)} without publication" if done else "a run was ended"
+            why = f"{slips} slips, {before} without publication" if done else "a run was ended"
             if chance == 1:
                 print(f"{name}: {why}, three times")
                 return 1
             print(f"{name}: {why}; once more")
     return 0
-
-
-def most_slips(found: list) -> int:
-    return max(one["slips"] for one in found)
 
 
 async def measured(name: str, part, shaketable: str, program: str) -> list:

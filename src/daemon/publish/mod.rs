@@ -93,7 +93,7 @@ impl Publisher {
         self.facts.clone()
     }
 
-    /// Ends once a connected server has confirmed everything, or after [`FAREWELL`].
+    /// Ends once a connected server has confirmed everything, or after three seconds.
     pub async fn close(mut self) {
         self.closing.send_replace(true);
         if tokio::time::timeout(FAREWELL, &mut self.task).await.is_err() {
