@@ -21,6 +21,8 @@ const LONGEST: f64 = 0.7;
 const FELT: f64 = 0.1;
 /// Squares after a short fit, over those of the best, within which an effect is fitted in full.
 const WITHIN: f64 = 1.5;
+/// Mean square beyond which short fits are still on their way and say little of where they would end.
+const UNSETTLED: f64 = 4.0;
 /// Candidates for a short fit beyond those that may be fitted in full.
 const SHORT_FITS: usize = 3;
 
@@ -85,6 +87,7 @@ pub(super) fn first_look(
     }
     ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
     let least = ranked.first().map_or(f64::INFINITY, |(cost, _, _)| *cost);
+    let unsettled = least > UNSETTLED * base.errors.len() as f64;
     let mut finalists: Vec<&'static str> = Vec::new();
     for (cost, effect, _) in &ranked {
         let simpler = ranked.iter().find(|(other_cost, other, _)| {
@@ -94,7 +97,7 @@ pub(super) fn first_look(
         });
         // Whatever a finalist contains is fitted in full as well: it needs less to explain as much.
         let contained = finalists.iter().any(|finalist| contained_in(finalist).contains(&effect.name));
-        let room = finalists.len() < study.depth.finalists && *cost <= WITHIN * least;
+        let room = finalists.len() < study.depth.finalists && (unsettled || *cost <= WITHIN * least);
         if let Some((_, other, _)) = simpler {
             refuse(effect, format!("contains {}, which does as well with less", other.name));
         } else if contained || room {
