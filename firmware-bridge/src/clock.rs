@@ -37,10 +37,12 @@ impl HostClock {
     }
 }
 
-/// The even grid behind events that should come once a period and are stamped late now and then.
+/// The even grid behind events that should come once a period, are stamped late by an unknown, never negative amount, and
+/// are left out for whole periods now and then.
 ///
-/// A step forward by whole periods (skipped cycles) is followed at once, the rest with a small gain, so
-/// that a late wake-up does not shift the grid (a first-order phase-locked loop).
+/// Left-out periods are followed at once, lateness within a period with a small gain, so that a late wake-up does not shift the
+/// grid (a first-order phase-locked loop). Nothing comes early: an event before its time shows that one before was later than it
+/// seemed, and puts the grid right.
 #[derive(Clone, Copy, Debug)]
 pub struct TimeGrid {
     period_ns: f64,
@@ -49,6 +51,8 @@ pub struct TimeGrid {
 
 impl TimeGrid {
     const GAIN: f64 = 0.02;
+    /// Share of a period by which a stamp may lie before the grid, which follows the mean lateness.
+    const EARLY: f64 = 0.2;
 
     /// A grid with this period.
     pub fn new(period_ns: f64) -> Self {
@@ -61,9 +65,10 @@ impl TimeGrid {
         let on_grid = match self.last_ns {
             None => stamp,
             Some(last) => {
-                let periods = ((stamp - last) / self.period_ns).round().max(1.0);
+                let periods = ((stamp - last) / self.period_ns + Self::EARLY).floor().max(1.0);
                 let expected = last + periods * self.period_ns;
-                expected + Self::GAIN * (stamp - expected)
+                let late = stamp - expected;
+                if late < -Self::EARLY * self.period_ns { stamp } else { expected + Self::GAIN * late }
             }
         };
         self.last_ns = Some(on_grid);
@@ -191,5 +196,21 @@ mod tests {
         assert!((late - 1.0e9).abs() < 10_000.0, "{late}");
         let skipped = grid.observe(1_020_000_000);
         assert!((skipped - 1.02e9).abs() < 10_000.0, "{skipped}");
+    }
+
+    #[test]
+    fn lateness_of_any_share_of_a_period_leaves_the_grid_where_it_was() {
+        for late_us in [100, 300, 550, 750, 850, 950] {
+            let mut grid = TimeGrid::new(1e6);
+            for n in 0..1_000_u64 {
+                grid.observe(n * 1_000_000);
+            }
+            let hit = grid.observe(1_000_000_000 + late_us * 1_000);
+            // What cannot be told from a left-out period is off by less than the rest of the period, once.
+            let allowed_ns = if late_us <= 750 { 20_000.0 } else { 1.0e6 };
+            assert!((hit - 1.0e9).abs() <= allowed_ns, "{late_us} us late: {hit}");
+            let next = grid.observe(1_001_000_000);
+            assert!((next - 1.001e9).abs() < 20_000.0, "after {late_us} us: {next}");
+        }
     }
 }

@@ -1,7 +1,8 @@
 //! The drive link and the drive emulator on a real CAN socket, against a peer that shares no code with them: a node and a
 //! master on the Python packages `canopen` and `python-can`.
 //!
-//! These tests need a CAN interface and are run by `hil-tests/uml/run`.
+//! These tests need a CAN interface and are run by `hil-tests/uml/run`, in a guest whose clock does not count what the machine
+//! does meanwhile: nothing here is excused by a busy one.
 
 use firmware_bridge::canopen::cia402::State;
 use firmware_bridge::clock::HostClock;
@@ -206,45 +207,27 @@ fn the_independent_master_drives_our_emulator() {
 #[test]
 #[ignore = "needs a CAN interface: hil-tests/uml/run"]
 fn our_master_drives_our_emulator_at_a_millisecond() {
-    // A machine that stands still for longer than the drive's time-outs makes the drive stop, and rightly so; the link
-    // measures such stalls itself, and only they excuse another attempt.
-    for attempt in 1..=5 {
-        let lab = lab(5, vec![]);
-        let clock = HostClock::new();
-        let mut drive = enabled(settings(5, 1), clock);
-        shake(&mut drive, clock, |drive, t| t > 10.0 || drive.fault().is_some());
-        let counters = drive.counters();
-        println!("attempt {attempt}: {counters:?} {:?}", lab.report());
-        assert_eq!(counters.send_failures, 0);
-        if drive.fault().is_some() {
-            assert!(counters.worst_late_ns > 20_000_000, "{:?} on a machine that kept time", drive.fault());
-            continue;
-        }
-        assert!(counters.cycles + counters.skipped > 9_900, "{counters:?}");
-        return;
-    }
-    panic!("this machine stood still five times within ten seconds");
+    let lab = lab(5, vec![]);
+    let clock = HostClock::new();
+    let mut drive = enabled(settings(5, 1), clock);
+    shake(&mut drive, clock, |drive, t| t > 10.0 || drive.fault().is_some());
+    let counters = drive.counters();
+    println!("{counters:?} {:?}", lab.report());
+    assert_eq!((drive.fault(), counters.send_failures), (None, 0));
+    assert!(counters.cycles + counters.skipped > 9_900, "{counters:?}");
 }
 
 #[test]
 #[ignore = "needs a CAN interface: hil-tests/uml/run"]
 fn bus_off_ends_in_quick_stop_and_the_next_run_connects_again() {
-    for _ in 1..=5 {
-        let lab = lab(6, vec![(1.2, Fault::BusOff)]);
-        let clock = HostClock::new();
-        let mut drive = enabled(settings(6, 1), clock);
-        shake(&mut drive, clock, |drive, _| drive.fault().is_some());
-        if drive.fault() != Some(DriveFault::BusOff) {
-            // A stall of the machine came first.
-            assert!(drive.counters().worst_late_ns > 20_000_000, "{:?}", drive.fault());
-            continue;
-        }
-        until("the drive stops", || lab.report().drive == State::QuickStopActive);
-        drop(drive);
-        prepare(bus(), settings(6, 1)).expect("the next run connects again");
-        return;
-    }
-    panic!("this machine stood still five times within two seconds");
+    let lab = lab(6, vec![(1.2, Fault::BusOff)]);
+    let clock = HostClock::new();
+    let mut drive = enabled(settings(6, 1), clock);
+    shake(&mut drive, clock, |drive, _| drive.fault().is_some());
+    assert_eq!(drive.fault(), Some(DriveFault::BusOff));
+    until("the drive stops", || lab.report().drive == State::QuickStopActive);
+    drop(drive);
+    prepare(bus(), settings(6, 1)).expect("the next run connects again");
 }
 
 /// Name of the variable that makes this test binary the process that is killed.
@@ -260,10 +243,7 @@ fn a_killed_host_leaves_the_drive_in_quick_stop_within_50_ms() {
         return shake(&mut drive, clock, |drive, _| drive.fault().is_some());
     }
     let mut measured = Vec::new();
-    let mut attempts = 0;
-    while measured.len() < 5 {
-        attempts += 1;
-        assert!(attempts <= 15, "this machine stood still too often: {measured:?}");
+    for _ in 0..5 {
         let lab = lab(8, vec![]);
         let mut victim = Command::new(std::env::current_exe().expect("this binary"))
             .args(["a_killed_host", "--ignored", "--nocapture"])
@@ -274,23 +254,14 @@ fn a_killed_host_leaves_the_drive_in_quick_stop_within_50_ms() {
         let lines = BufReader::new(victim.stdout.take().expect("a pipe")).lines();
         let moving = lines.map_while(Result::ok).any(|line| line.contains("moving"));
         assert!(moving, "the victim never moved");
-        let moving = || lab.report().demand.velocity_m_s.abs() > 0.01;
-        let stopped = || lab.report().drive == State::QuickStopActive;
-        until("the table moves", || moving() || stopped());
-        let stalled = stopped();
+        until("the table moves", || lab.report().demand.velocity_m_s.abs() > 0.01);
         // SIGKILL: nothing of the host runs after it.
         victim.kill().expect("killed");
         victim.wait().expect("gone");
-        if stalled {
-            // A stall of the machine stopped the drive before the host was killed.
-            continue;
-        }
-        until("the drive stops by itself", stopped);
+        until("the drive stops by itself", || lab.report().drive == State::QuickStopActive);
         until("the table rests", || lab.report().demand.velocity_m_s == 0.0);
         measured.push(1e3 * lab.report().stopped_itself_after_s.expect("it stopped by itself"));
     }
     println!("from the last SYNC of a killed host to quick stop: {measured:.1?} ms");
-    // The median, for a machine that may stand still for longer at any time.
-    measured.sort_by(f64::total_cmp);
-    assert!(measured[2] < 50.0, "{measured:?}");
+    assert!(measured.iter().all(|ms| *ms < 50.0), "{measured:?}");
 }

@@ -82,21 +82,18 @@ for state in ("READY TO SWITCH ON", "SWITCHED ON", "OPERATION ENABLED"):
     node.state = state
     states.append(node.state)
 # A ramp of 2 mm at 10 mm/s or so in the drive's counts, 0.1 um each.
-position = []
 for k in range(1, 21):
     node.rpdo[1][0x607A].raw = 1000 * k
     node.tpdo[1].wait_for_reception(5)
-    position.append(node.tpdo[1][0x6064].raw)
 
 
 def arrived():
     node.tpdo[1].wait_for_reception(5)
-    position.append(node.tpdo[1][0x6064].raw)
-    return abs(position[-1] - 20_000) < 20
+    return abs(node.tpdo[1][0x6064].raw - 20_000) < 20
 
 
 until("the drive is where it was sent", arrived)
-result["position"] = position[-1]
+result["position"] = node.tpdo[1][0x6064].raw
 node.state = "QUICK STOP ACTIVE"
 states.append(node.state)
 node.state = "SWITCH ON DISABLED"

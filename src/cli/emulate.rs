@@ -143,6 +143,8 @@ fn print_json(lab: &Lab) {
         "late_steps": report.late_steps,
         "drive": format!("{:?}", report.drive),
         "stopped_itself_after_s": report.stopped_itself_after_s,
+        "fault_at_sequence": report.fault_at_sequence,
+        "out_of_operation_after_fault_s": report.out_of_operation_after_fault_s,
         "displacement_m": report.demand.displacement_m,
         "velocity_m_s": report.demand.velocity_m_s,
     });

@@ -33,6 +33,9 @@ const TAIL_PERIODS: u64 = 512;
 const TIMED_OF_VIRTUAL: u64 = 16;
 /// Periods between two reports of the live error.
 const LIVE_PERIODS: u64 = 512;
+/// Sides on which the rig fails.
+const READING: usize = 0;
+const COMMANDING: usize = 1;
 
 /// What the operator's side may ask of the control thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -93,7 +96,8 @@ pub struct Controller {
     timed: bool,
     cycle: u64,
     next_sequence: Option<u64>,
-    last_fault: Option<RigFault>,
+    /// Faults that have been told and still stand: of reading, of commanding.
+    told_faults: [Option<RigFault>; 2],
     tail: u64,
     ending: Option<Ending>,
     now: Instant,
@@ -142,7 +146,7 @@ impl Controller {
             timed: true,
             cycle: 0,
             next_sequence: None,
-            last_fault: None,
+            told_faults: [None; 2],
             tail: 0,
             ending: None,
             now: Instant {
@@ -259,7 +263,7 @@ impl Controller {
         }
         match self.rig.read() {
             Ok(Some(sample)) => {
-                self.last_fault = None;
+                self.told_faults[READING] = None;
                 self.note_gap(&sample);
                 self.now.sample = sample;
                 if let Some(held) = self.guard.as_mut().and_then(|guard| guard.hold(&sample)) {
@@ -274,7 +278,7 @@ impl Controller {
                 false
             }
             Err(fault) => {
-                self.fault(fault);
+                self.fault(READING, fault);
                 self.drained();
                 false
             }
@@ -382,8 +386,11 @@ impl Controller {
             self.rig.quick_stop();
         }
         let commands = self.guard.as_ref().is_none_or(Guard::commands);
-        if commands && let Err(fault) = self.rig.write(&point.command) {
-            self.fault(fault);
+        if commands {
+            match self.rig.write(&point.command) {
+                Ok(()) => self.told_faults[COMMANDING] = None,
+                Err(fault) => self.fault(COMMANDING, fault),
+            }
         }
         if let Some(request) = obeyed {
             self.end.event(Event::Obeyed { cycle: self.cycle, request, at_ns: now_ns() });
@@ -474,12 +481,12 @@ impl Controller {
     }
 
     /// Tells a fault of the rig once, until it is gone.
-    fn fault(&mut self, fault: RigFault) {
+    fn fault(&mut self, side: usize, fault: RigFault) {
         self.rig_fault = Some(fault);
         if fault == RigFault::EndOfRecord {
             self.end_run(Ending::Done);
-        } else if self.last_fault != Some(fault) {
-            self.last_fault = Some(fault);
+        } else if self.told_faults[side] != Some(fault) {
+            self.told_faults[side] = Some(fault);
             self.end.event(Event::RigFault { cycle: self.cycle, fault });
         }
     }

@@ -7,7 +7,7 @@ use socketcan::{
     CanDataFrame, CanErrorFrame, CanFrame, CanSocket, EmbeddedFrame, Id, Socket, SocketOptions, StandardId,
 };
 use std::io::ErrorKind;
-use std::os::fd::OwnedFd;
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::string::ToString;
 use std::time::{Duration, Instant};
 
@@ -92,13 +92,7 @@ impl CanBus {
         if let Some(event) = self.read()? {
             return Ok(Some(event));
         }
-        let timeout = Timespec { tv_sec: timeout.as_secs() as i64, tv_nsec: timeout.subsec_nanos().into() };
-        let mut watched = [PollFd::new(&self.socket, PollFlags::IN)];
-        match rustix::event::poll(&mut watched, Some(&timeout)) {
-            Ok(0) | Err(rustix::io::Errno::INTR) => Ok(None),
-            Ok(_) => self.read(),
-            Err(error) => Err(error.into()),
-        }
+        if self.arrives(timeout)? { self.read() } else { Ok(None) }
     }
 
     /// Waits for something that `pick` wants; other events are dropped.
@@ -123,6 +117,20 @@ impl CanBus {
             }
         }
         Ok(None)
+    }
+
+    /// Whether something arrives within `timeout`.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn arrives(&self, timeout: Duration) -> std::io::Result<bool> {
+        let timeout = Timespec { tv_sec: timeout.as_secs() as i64, tv_nsec: timeout.subsec_nanos().into() };
+        let mut watched = [PollFd::new(&self.socket, PollFlags::IN)];
+        match rustix::event::poll(&mut watched, Some(&timeout)) {
+            Ok(ready) => Ok(ready > 0),
+            Err(rustix::io::Errno::INTR) => Ok(false),
+            Err(error) => Err(error.into()),
+        }
     }
 
     fn read(&self) -> std::io::Result<Option<BusEvent>> {
@@ -151,5 +159,11 @@ impl CanBus {
                 Err(error) => return Err(error),
             }
         }
+    }
+}
+
+impl AsFd for CanBus {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.socket.as_fd()
     }
 }

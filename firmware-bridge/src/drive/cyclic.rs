@@ -215,11 +215,16 @@ impl Cycle {
 
     fn run(&mut self) {
         let mut deadline_ns = self.clock.now_ns() + self.cycle_ns;
-        let mut periods = 1;
         let mut leaving_until_ns = None;
         loop {
             let late_ns = self.clock.sleep_until(deadline_ns);
+            let now_ns = deadline_ns + late_ns;
             self.shared.worst_late_ns.fetch_max(late_ns, Ordering::Relaxed);
+            // Whole periods that have passed are skipped before the exchange, the phase is kept: what goes out now is
+            // the target for now. The one for the deadline would throw the table back by all that lies between.
+            let skipped = late_ns / self.cycle_ns;
+            add(&self.shared.skipped, skipped);
+            deadline_ns += skipped * self.cycle_ns;
             if self.shared.stop.load(Ordering::Acquire) {
                 // Never cut the power of a moving table: its drive brakes first.
                 let until = *leaving_until_ns.get_or_insert(deadline_ns + LEAVE_NS);
@@ -228,16 +233,11 @@ impl Cycle {
                     break;
                 }
             }
-            let now_ns = deadline_ns + late_ns;
             self.listen(now_ns);
-            self.exchange(deadline_ns, now_ns, periods);
+            self.exchange(deadline_ns, now_ns, 1 + skipped);
             self.heartbeat(deadline_ns);
             add(&self.shared.cycles, 1);
-            // Whole periods are skipped after a late wake-up, the phase is kept.
-            let now = self.clock.now_ns();
-            periods = 1 + now.saturating_sub(deadline_ns) / self.cycle_ns;
-            add(&self.shared.skipped, periods - 1);
-            deadline_ns += periods * self.cycle_ns;
+            deadline_ns += self.cycle_ns;
         }
         self.leave();
     }

@@ -70,6 +70,11 @@ impl DaqNode {
         self.sequence.is_some()
     }
 
+    /// Number of the next sample; `None` while it is not sampling.
+    pub fn sequence(&self) -> Option<u32> {
+        self.sequence
+    }
+
     /// Takes bytes from the host and appends the answers to `out`.
     pub fn on_bytes(&mut self, bytes: &[u8], out: &mut Vec<u8>) {
         let mut requests = Vec::new();

@@ -1,11 +1,12 @@
 //! The threads that give the emulated devices their line, their bus and their mechanics, in real time.
 
+use super::arrivals::Arrivals;
 use super::drive::DriveSpec;
 use super::{DaqNode, Demand, DriveNode, Fault, Plant};
-use crate::canopen::Frame;
 use crate::canopen::cia402::State;
+use crate::canopen::{Frame, cob};
 use crate::clock::HostClock;
-use crate::drive::{BusEvent, CanBus, DriveError};
+use crate::drive::{CanBus, DriveError};
 use serialport::{SerialPort, TTYPort};
 use std::boxed::Box;
 use std::io::{ErrorKind, Read, Write};
@@ -38,21 +39,23 @@ pub struct LabSettings {
 pub struct LabReport {
     /// Sample instants so far.
     pub samples: u64,
-    /// Deliveries at which the thread of the mechanics was more than a period late.
+    /// Wake-ups at which the devices had to make up for more than 3 ms.
     pub late_steps: u64,
     /// State of the drive.
     pub drive: State,
     /// Time since the last process data of the host, s, at which the drive stopped by itself; `None` if it did not.
     pub stopped_itself_after_s: Option<f64>,
+    /// Number that the DAQ's next sample bore when the last fault of the schedule took effect.
+    pub fault_at_sequence: Option<u32>,
+    /// Time from that fault until the drive was out of operation, s.
+    pub out_of_operation_after_fault_s: Option<f64>,
     /// Last demand.
     pub demand: Demand,
 }
 
 struct Shared {
     stop: AtomicBool,
-    clock: HostClock,
     daq: Mutex<DaqSide>,
-    drive: Mutex<DriveSide>,
     report: Mutex<LabReport>,
     faults: Mutex<Vec<Fault>>,
 }
@@ -62,11 +65,6 @@ struct DaqSide {
     /// The device's end of the line; `None` when the cable is out.
     port: Option<TTYPort>,
     unsent: Vec<u8>,
-}
-
-struct DriveSide {
-    node: DriveNode,
-    last_output_ns: u64,
 }
 
 /// A running lab; dropping it ends it.
@@ -100,14 +98,16 @@ impl Lab {
             let _ = std::fs::remove_file(link);
             std::os::unix::fs::symlink(&port_path, link)?;
         }
+        let clock = HostClock::new();
+        let bus = Arrivals::new(bus, clock)?;
         let shared = Arc::new(Shared {
             stop: AtomicBool::new(false),
-            clock: HostClock::new(),
             daq: Mutex::new(DaqSide { node: settings.daq, port: Some(device_end), unsent: Vec::new() }),
-            drive: Mutex::new(DriveSide { node: DriveNode::new(settings.drive), last_output_ns: 0 }),
             report: Mutex::new(LabReport::default()),
             faults: Mutex::new(Vec::new()),
         });
+        let node = DriveNode::new(settings.drive);
+        let mut devices = Devices::new(bus, node, plant, clock, settings.rate_hz, settings.schedule);
         let mut threads = Vec::new();
         let on_thread = settings.on_thread;
         let mut spawn = |name: &str, body: Box<dyn FnOnce(&Shared) + Send>| -> std::io::Result<()> {
@@ -121,10 +121,8 @@ impl Lab {
             })?);
             Ok(())
         };
-        let (rate_hz, schedule) = (settings.rate_hz, settings.schedule);
-        spawn("lab-drive", Box::new(move |shared| drive_thread(shared, bus)))?;
+        spawn("lab-devices", Box::new(move |shared| devices.run(shared)))?;
         spawn("lab-requests", Box::new(move |shared| request_thread(shared, requests)))?;
-        spawn("lab-table", Box::new(move |shared| table_thread(shared, plant, rate_hz, schedule)))?;
         Ok(Self { shared, threads, port_path, link: settings.port_link, _host_end: host_end })
     }
 
@@ -163,47 +161,6 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn drive_thread(shared: &Shared, mut bus: CanBus) {
-    let mut frames: Vec<Frame> = Vec::new();
-    while !shared.stop.load(Ordering::Acquire) {
-        // All that waits is heard before any time-out is judged: a thread that was held up must not take its
-        // own lateness for the host's.
-        let mut event = bus.wait(Duration::from_millis(1));
-        let now_ns = shared.clock.now_ns();
-        let mut side = lock(&shared.drive);
-        while let Ok(Some(heard)) = event {
-            if let BusEvent::Frame(frame) = heard {
-                if frame.id == crate::canopen::cob::SYNC {
-                    side.last_output_ns = now_ns;
-                }
-                side.node.on_frame(&frame, now_ns, &mut |frame| frames.push(frame));
-            }
-            event = bus.poll();
-        }
-        side.node.tick(now_ns, &mut |frame| frames.push(frame));
-        drop(side);
-        if event.is_err() {
-            // The bus is gone: for a drive that is silence, which its time-outs answer.
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        for _ in take_faults(shared, |f| matches!(f, Fault::BusOff)) {
-            // What cannot be told to the host shows as a silent drive.
-            let _ = bus.send_bus_off();
-        }
-        for frame in frames.drain(..) {
-            // A full queue loses the frame, as on a real bus that nobody acknowledges.
-            let _ = bus.send(&frame);
-        }
-    }
-}
-
-fn take_faults(shared: &Shared, wanted: impl Fn(&Fault) -> bool) -> Vec<Fault> {
-    let mut faults = lock(&shared.faults);
-    let (taken, rest) = faults.drain(..).partition(|fault| wanted(fault));
-    *faults = rest;
-    taken
-}
-
 fn request_thread(shared: &Shared, mut port: TTYPort) {
     let mut buffer = [0; 256];
     // Errors of `set_timeout` cannot happen on a pseudo terminal: it only stores the number.
@@ -238,93 +195,149 @@ impl DaqSide {
     }
 }
 
-/// The mechanics and the sampling. The thread wakes once in [`DELIVERY_NS`] and makes up for all instants since, as a
-/// USB serial adapter delivers what has gathered within its frame of a millisecond.
-fn table_thread(shared: &Shared, plant: Box<dyn Plant>, rate_hz: f64, mut schedule: Vec<(f64, Fault)>) {
-    schedule.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let start_ns = shared.clock.now_ns() as f64;
-    let mut table =
-        Table { plant, rate_hz, start_ns, instants: 0, last_m: 0.0, enabled_at_ns: None, schedule };
-    let mut wake_ns = start_ns as u64;
-    while !shared.stop.load(Ordering::Acquire) {
-        wake_ns += DELIVERY_NS;
-        let late_ns = shared.clock.sleep_until(wake_ns);
-        let now_ns = wake_ns + late_ns;
-        let mut side = lock(&shared.daq);
-        while table.next_instant_ns() <= now_ns as f64 {
-            table.step(shared, &mut side);
-        }
-        apply_faults(shared, &mut side);
-        if !side.unsent.is_empty() {
-            side.flush();
-        }
-        drop(side);
-        let mut report = lock(&shared.report);
-        report.samples = table.instants;
-        report.late_steps += u64::from(late_ns > DELIVERY_NS);
-    }
-}
+/// Longest time between two looks at the bus, ns: one of 1 ms brings SYNC and a delivery of samples with one wake-up.
+const PATIENCE: Duration = Duration::from_micros(1500);
+/// The thread was late when it has to make up for more than this, ns.
+const LATE_NS: f64 = 3e6;
 
-/// Period of delivery, ns: a frame of full-speed USB.
-const DELIVERY_NS: u64 = 1_000_000;
-
-struct Table {
+/// Drive, mechanics and sampling as functions of the times at which frames came in: it makes no difference to their motion
+/// when this thread gets the processor, only how late the answers are.
+struct Devices {
+    bus: Arrivals,
+    node: DriveNode,
     plant: Box<dyn Plant>,
     rate_hz: f64,
     start_ns: f64,
     instants: u64,
     last_m: f64,
+    last_output_ns: u64,
     enabled_at_ns: Option<f64>,
     schedule: Vec<(f64, Fault)>,
+    /// When the last fault of the schedule took effect: device time, ns, and the DAQ's number.
+    fault_at: Option<(f64, Option<u32>)>,
+    out_after_s: Option<f64>,
+    /// Frames to be sent.
+    answers: Vec<Frame>,
+    late_steps: u64,
 }
 
-impl Table {
+impl Devices {
+    fn new(
+        bus: Arrivals,
+        node: DriveNode,
+        plant: Box<dyn Plant>,
+        clock: HostClock,
+        rate_hz: f64,
+        mut schedule: Vec<(f64, Fault)>,
+    ) -> Self {
+        schedule.sort_by(|a, b| b.0.total_cmp(&a.0));
+        Self {
+            bus,
+            node,
+            plant,
+            rate_hz,
+            start_ns: clock.now_ns() as f64,
+            instants: 0,
+            last_m: 0.0,
+            last_output_ns: 0,
+            enabled_at_ns: None,
+            schedule,
+            fault_at: None,
+            out_after_s: None,
+            answers: Vec::new(),
+            late_steps: 0,
+        }
+    }
+
+    fn run(&mut self, shared: &Shared) {
+        while !shared.stop.load(Ordering::Acquire) {
+            let now_ns = self.bus.wait(PATIENCE);
+            let mut daq = lock(&shared.daq);
+            self.late_steps += u64::from(now_ns as f64 - self.next_instant_ns() > LATE_NS);
+            // An error is silence, which the drive's time-outs answer.
+            while let Ok(Some((frame, at_ns))) = self.bus.next() {
+                self.advance(at_ns, shared, &mut daq);
+                if frame.id == cob::SYNC {
+                    self.last_output_ns = at_ns;
+                }
+                self.node.on_frame(&frame, at_ns, &mut |frame| self.answers.push(frame));
+            }
+            self.advance(now_ns, shared, &mut daq);
+            self.apply_faults(shared, &mut daq);
+            for frame in self.answers.drain(..) {
+                // A full queue loses the frame, as on a real bus that nobody acknowledges.
+                let _ = self.bus.bus().send(&frame);
+            }
+            if !daq.unsent.is_empty() {
+                daq.flush();
+            }
+            drop(daq);
+            self.tell(shared);
+        }
+    }
+
     fn next_instant_ns(&self) -> f64 {
         self.start_ns + (self.instants + 1) as f64 * 1e9 / self.rate_hz
+    }
+
+    /// All instants up to a time.
+    fn advance(&mut self, until_ns: u64, shared: &Shared, daq: &mut DaqSide) {
+        while self.next_instant_ns() <= until_ns as f64 {
+            self.step(shared, daq);
+        }
     }
 
     fn step(&mut self, shared: &Shared, daq: &mut DaqSide) {
         let instant_ns = self.next_instant_ns();
         self.instants += 1;
-        let mut side = lock(&shared.drive);
-        let demand = side.node.demand(instant_ns);
-        let values = self.plant.step(demand);
-        side.node.set_actual(values[0], (values[0] - self.last_m) * self.rate_hz);
+        self.node.tick(instant_ns as u64, &mut |frame| self.answers.push(frame));
+        let values = self.plant.step(self.node.demand(instant_ns));
+        self.node.set_actual(values[0], (values[0] - self.last_m) * self.rate_hz);
         self.last_m = values[0];
-        let (state, stopped) = (side.node.state(), side.node.stopped_itself_at_ns());
-        let last_output_ns = side.last_output_ns;
-        drop(side);
-        if state == State::OperationEnabled {
+        if self.node.state() == State::OperationEnabled {
             self.enabled_at_ns.get_or_insert(instant_ns);
+        } else if let Some((fault_ns, _)) = self.fault_at {
+            self.out_after_s.get_or_insert((instant_ns - fault_ns) * 1e-9);
         }
         while let (Some(since), Some((at_s, fault))) = (self.enabled_at_ns, self.schedule.last().copied())
             && instant_ns - since >= at_s * 1e9
         {
             lock(&shared.faults).push(fault);
+            self.fault_at = Some((instant_ns, daq.node.sequence()));
             self.schedule.pop();
         }
         let device_us = (self.instants as f64 * 1e6 / self.rate_hz) as u64;
         daq.node.sample(&values, device_us, &mut daq.unsent);
-        let mut report = lock(&shared.report);
-        report.drive = state;
-        report.demand = demand;
-        report.stopped_itself_after_s = stopped
-            .map(|at| at.saturating_sub(last_output_ns) as f64 * 1e-9)
-            .or(report.stopped_itself_after_s);
     }
-}
 
-fn apply_faults(shared: &Shared, daq: &mut DaqSide) {
-    for fault in take_faults(shared, |f| !matches!(f, Fault::BusOff)) {
-        match fault {
-            Fault::DaqUnplug => daq.port = None,
-            Fault::DriveSilent => lock(&shared.drive).node.set_silent(true),
-            Fault::DriveTrip(code) => {
-                // The EMCY goes out through the drive's own thread.
-                lock(&shared.drive).node.trip_later(code);
+    fn apply_faults(&mut self, shared: &Shared, daq: &mut DaqSide) {
+        for fault in lock(&shared.faults).drain(..) {
+            match fault {
+                Fault::DaqUnplug => daq.port = None,
+                Fault::DriveSilent => self.node.set_silent(true),
+                // The EMCY goes out with the next tick.
+                Fault::DriveTrip(code) => self.node.trip_later(code),
+                Fault::DriveRestart => self.node.restart(),
+                Fault::BusOff => {
+                    // What cannot be told to the host shows as a silent drive.
+                    let _ = self.bus.bus().send_bus_off();
+                }
+                other => daq.node.fault(other, &mut daq.unsent),
             }
-            Fault::DriveRestart => lock(&shared.drive).node.restart(),
-            other => daq.node.fault(other, &mut daq.unsent),
         }
+    }
+
+    fn tell(&self, shared: &Shared) {
+        let stopped = self.node.stopped_itself_at_ns();
+        let mut report = lock(&shared.report);
+        report.samples = self.instants;
+        report.fault_at_sequence = self.fault_at.and_then(|(_, sequence)| sequence);
+        report.out_of_operation_after_fault_s = self.out_after_s;
+        report.late_steps = self.late_steps;
+        report.drive = self.node.state();
+        report.demand = self.node.demand(self.start_ns + self.instants as f64 * 1e9 / self.rate_hz);
+        report.stopped_itself_after_s = stopped
+            .map(|at| at.saturating_sub(self.last_output_ns) as f64 * 1e-9)
+            .or(report.stopped_itself_after_s);
     }
 }

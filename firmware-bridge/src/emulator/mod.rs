@@ -4,6 +4,7 @@
 //! [`Lab::start`] runs them; tests and `shaketable emulate` call it. The device code ([`DriveNode`],
 //! [`DaqNode`]) takes time and frames from outside and can be tested without threads.
 
+mod arrivals;
 mod daq;
 mod dictionary;
 mod drive;

@@ -44,8 +44,8 @@ pub enum Motion {
     },
 }
 
-/// A target is carried forward by no more than this, s: what lies beyond is a matter of the time-outs.
-const CARRY_S: f64 = 0.02;
+/// A target is carried forward by no more than this, s: longer than the time-outs that then take over.
+const CARRY_S: f64 = 0.05;
 
 impl Motion {
     /// The demand at a time.
