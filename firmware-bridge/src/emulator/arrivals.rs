@@ -20,7 +20,13 @@ pub(super) struct Arrivals {
     control: Vec<u8>,
     /// Calendar time less time of `clock`, ns, at the last look at both.
     calendar_ns: i128,
+    /// Times of `clock`, ns, between which a frame that is in the queue can have come: the last look but one, when the queue was
+    /// emptied, and a little after the last. Whatever lies outside is a calendar that was set meanwhile.
+    between_ns: (u64, u64),
 }
+
+/// Longest time for which the queue is being emptied, by a thread that may be held up meanwhile, ns.
+const EMPTYING_NS: u64 = 200_000_000;
 
 impl Arrivals {
     /// Takes a bus and has its arrivals stamped.
@@ -29,7 +35,7 @@ impl Arrivals {
     /// The kernel does not stamp what comes through this socket.
     pub fn new(bus: CanBus, clock: HostClock) -> std::io::Result<Self> {
         setsockopt(&bus, ReceiveTimestampns, &true)?;
-        Ok(Self { bus, clock, control: nix::cmsg_space!(TimeSpec), calendar_ns: 0 })
+        Ok(Self { bus, clock, control: nix::cmsg_space!(TimeSpec), calendar_ns: 0, between_ns: (0, 0) })
     }
 
     /// The bus, to send on.
@@ -46,6 +52,7 @@ impl Arrivals {
         let now_ns = self.clock.now_ns();
         let calendar = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         self.calendar_ns = calendar.as_nanos() as i128 - i128::from(now_ns);
+        self.between_ns = (self.between_ns.1.saturating_sub(EMPTYING_NS), now_ns + EMPTYING_NS);
         now_ns
     }
 
@@ -70,7 +77,8 @@ impl Arrivals {
                 && let Some(frame) = data_frame(&bytes)
             {
                 let at_ns = i128::from(stamp.tv_sec()) * 1_000_000_000 + i128::from(stamp.tv_nsec());
-                return Ok(Some((frame, u64::try_from(at_ns - self.calendar_ns).unwrap_or(0))));
+                let at_ns = u64::try_from(at_ns - self.calendar_ns).unwrap_or(0);
+                return Ok(Some((frame, at_ns.clamp(self.between_ns.0, self.between_ns.1))));
             }
         }
     }
