@@ -1,10 +1,11 @@
 //! Study of the diagnosis on records with a hidden effect: makes cases from seeds, diagnoses each,
-//! prints one line a case (tab separated) and a summary. Never quote seeds that were developed on.
+//! prints one line a case (tab separated) and a summary: verdicts, how many 95 % intervals hold the truth where it was named,
+//! held-out error over noise floor. Never quote seeds that were developed on.
 //!
 //! `cargo run --release -p hil-tests --example hidden -- blind --seeds 1000..1200 --size 0.05 --noise 1`
 
-use hil_tests::hidden::{self, Recipe};
-use shaketable::diagnose::{Options, Verdict, diagnose};
+use hil_tests::hidden::{self, Hidden, Recipe};
+use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose};
 use shaketable::model::effects;
 use std::collections::BTreeMap;
 
@@ -28,7 +29,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     let all = hidden::studied();
     let mut tally: BTreeMap<&str, usize> = BTreeMap::new();
-    let mut cases = 0;
+    let (mut cases, mut base, mut effect) = (0, Coverage::default(), Coverage::default());
+    let mut over_floor: Vec<f64> = Vec::new();
     for seed in seeds {
         let effects: Vec<&'static str> = match (study.as_str(), &only) {
             ("healthy" | "outside", _) => vec![],
@@ -80,10 +82,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             })
             .or_default() += 1;
         *tally.entry(found.verdict.name()).or_default() += 1;
-        if verbose {
-            println!("{}\n{:#?}\n{:#?}", found.text(), case.truth, case.nominal);
+        if right {
+            let (own, of_effects) = (base_intervals(&found, &case), effect_intervals(&found, &case));
+            own.into_iter().for_each(|inside| base.count(inside));
+            of_effects.into_iter().for_each(|inside| effect.count(inside));
+            over_floor.push(found.error_after / found.noise_floor);
         }
-        if !right {
+        if !right || verbose {
             for refused in found.refused.iter().take(6) {
                 println!("\t\t{}: {}", refused.name, refused.reason);
             }
@@ -115,5 +120,55 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
     }
     println!("{cases} cases: {tally:?}");
+    over_floor.sort_by(f64::total_cmp);
+    let quantile =
+        |q: f64| over_floor.get((q * over_floor.len() as f64) as usize).copied().unwrap_or(f64::NAN);
+    println!(
+        "95 % intervals that hold the truth where it was named: model {base}, effects {effect}; \
+         held-out error over noise floor: median {:.3}, nine in ten below {:.3}",
+        quantile(0.5),
+        quantile(0.9),
+    );
     Ok(())
+}
+
+/// Intervals that hold the truth, of how many.
+#[derive(Default)]
+struct Coverage {
+    inside: usize,
+    all: usize,
+}
+
+impl Coverage {
+    fn count(&mut self, inside: bool) {
+        self.inside += usize::from(inside);
+        self.all += 1;
+    }
+}
+
+impl std::fmt::Display for Coverage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} of {}", self.inside, self.all)
+    }
+}
+
+/// Whether each interval of the model's own numbers holds the truth.
+fn base_intervals(found: &Diagnosis, case: &Hidden) -> Vec<bool> {
+    let own = found.reidentified.iter().filter(|n| !n.key.starts_with("effect["));
+    own.filter_map(|n| case.truth.get(&n.key).ok().map(|truth| n.low95 <= truth && truth <= n.high95))
+        .collect()
+}
+
+/// The same of the parameters of the effects that were named rightly.
+fn effect_intervals(found: &Diagnosis, case: &Hidden) -> Vec<bool> {
+    let hidden = |name: &str| case.truth.effects.iter().find(|effect| effect.name == name);
+    let pairs = found.effects.iter().filter_map(|named| Some((named, hidden(&named.name)?)));
+    pairs
+        .flat_map(|(named, hidden)| {
+            let of = |(name, p): (&String, &shaketable::diagnose::report::ParameterEstimate)| {
+                hidden.parameters.get(name).map(|truth| p.low95 <= *truth && *truth <= p.high95)
+            };
+            named.parameters.iter().filter_map(of).collect::<Vec<bool>>()
+        })
+        .collect()
 }
