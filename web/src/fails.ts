@@ -85,7 +85,7 @@ export class Fails {
     fill(this.cycles, h("h3", {}, `Last three cycles at ${short(cycles.frequency_hz)} Hz; marked: ${from}° to ${to}°`), places, h("div", { class: "row" }, loop.element));
     this.cycles.scrollIntoView({ behavior: "smooth", block: "nearest" });
     const marked = (values: number[]) => values.map((v, i) => (cycles.phase_deg[i] >= from && cycles.phase_deg[i] < to ? v : null));
-    const series = (name: string) => [{ label: name, colour: ink("measured") }, { label: `model ${name}`, colour: ink("model"), dash: [6, 3] }, { label: "the cell", colour: ink("other"), width: 4 }];
+    const series = (name: string) => [{ label: name, colour: ink("measured") }, { label: `model ${name}`, colour: ink("model"), dash: [6, 3] }, { label: "the cell", colour: ink("other"), width: 4, gaps: true }];
     const mm = (values: number[]) => values.map((v) => 1e3 * v);
     new Plot(places[0], 150, series("A"), { x: "s", y: "A  m/s²", sync: "cycles" }).set([cycles.time_s, cycles.mass_acceleration_m_s2, cycles.model_acceleration_m_s2, marked(cycles.mass_acceleration_m_s2)]);
     new Plot(places[1], 150, series("D"), { x: "s", y: "D  mm", sync: "cycles" }).set([cycles.time_s, mm(cycles.relative_displacement_m), mm(cycles.model_displacement_m), marked(mm(cycles.relative_displacement_m))]);

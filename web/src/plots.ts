@@ -3,7 +3,7 @@
 import uPlot from "uplot";
 import { h, ink, dark } from "./ui";
 
-export interface Series { label: string; colour: string; width?: number; dash?: number[]; points?: boolean; scale?: string }
+export interface Series { label: string; colour: string; width?: number; dash?: number[]; points?: boolean; scale?: string; gaps?: boolean }
 
 /** A plot over a common axis that follows the width of its place. */
 export class Plot {
@@ -39,7 +39,7 @@ export class Plot {
           { label: options.x || "t", value: (_, v) => (v === null || v === undefined ? "–" : Number(v.toFixed(3)).toString()) },
           ...series.map((s): uPlot.Series => ({
             label: s.label, stroke: s.colour, width: s.width ?? 1.5, dash: s.dash, scale: s.scale ?? "y",
-            points: { show: s.points ?? false, size: 5 }, spanGaps: true,
+            points: { show: s.points ?? false, size: 5 }, spanGaps: !s.gaps,
             value: (_, v) => (v === null || v === undefined ? "–" : Number(v.toPrecision(4)).toString()),
           })),
         ],
@@ -100,7 +100,7 @@ export class XY {
     g.setTransform(scale, 0, 0, scale, 0, 0);
     g.clearRect(0, 0, width, height);
     const [x0, x1] = reach(traces.map((t) => t.x)), [y0, y1] = reach(traces.map((t) => t.y));
-    const left = 40, bottom = 26, top = 6, right = 8;
+    const left = 40, bottom = 26, top = 18, right = 8;
     const px = (x: number) => left + ((x - x0) / (x1 - x0)) * (width - left - right);
     const py = (y: number) => height - bottom - ((y - y0) / (y1 - y0)) * (height - bottom - top);
     g.font = "10px system-ui, sans-serif";
@@ -118,7 +118,7 @@ export class XY {
     g.textAlign = "right";
     g.fillText(this.xLabel, width - right, height - 3);
     g.textAlign = "left";
-    g.fillText(this.yLabel, 2, top + 8);
+    g.fillText(this.yLabel, 2, 10);
     for (const trace of traces) {
       g.strokeStyle = trace.colour;
       g.lineWidth = trace.width ?? 1.5;
