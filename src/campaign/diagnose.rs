@@ -81,8 +81,9 @@ pub fn diagnose(
     let common = Freedom { common_stiffness: true, ..Freedom::default() };
     let mut ladder = vec![study.rung(fixed)?];
     for freedom in [common, Freedom::default()] {
-        ladder.push(study.rung(freedom)?);
-        tell(&ladder[ladder.len() - 1].line());
+        let rung = study.rung(freedom)?;
+        tell(&rung.line());
+        ladder.push(rung);
     }
     let mut best = ladder.len() - 1;
     let (finalists, mut refused) = first_look(&study, &ladder[best].x, tell)?;

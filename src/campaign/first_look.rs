@@ -5,9 +5,9 @@
 use super::diagnose::{DECISIVE, Refused};
 use super::fit::{Cell, Freedom, Look, Problem};
 use super::ladder::Study;
-use crate::diagnose::candidates::contained_in;
+use crate::diagnose::candidates::{acts_on_motion, contained_in};
 use crate::identify::least_squares;
-use crate::model::effects::{self, Effect, Place};
+use crate::model::effects::{self, Effect};
 use crate::parallel;
 use nalgebra::{DMatrix, DVector};
 
@@ -52,7 +52,8 @@ pub(super) fn first_look(
     let cells: Vec<&Cell> = study.cells.iter().collect();
     let difference = study.depth.first.difference;
     let base = Identified::at(&study.problem(Freedom::default()), identified, &cells, difference)?;
-    let candidates: Vec<&'static Effect> = effects::CATALOGUE.iter().copied().filter(is_candidate).collect();
+    let candidates: Vec<&'static Effect> =
+        effects::CATALOGUE.iter().copied().filter(|effect| acts_on_motion(effect)).collect();
     let problem =
         |effect: &Effect| study.problem(Freedom { effects: vec![effect.name], ..Freedom::default() });
     let looked = parallel::map(&candidates, study.depth.jobs, |effect| {
@@ -107,10 +108,6 @@ pub(super) fn first_look(
         }
     }
     Some((finalists, refused))
-}
-
-fn is_candidate(effect: &&Effect) -> bool {
-    effect.place != Place::User && !effect.is_instrument() && effect.name != "mass-error"
 }
 
 impl Identified {
@@ -214,7 +211,7 @@ mod tests {
         // Bouc-Wen hysteresis contains it, and a short fit may take it further.
         assert!(finalists.contains(&"coulomb-friction"), "{finalists:?} {refused:?}");
         assert!(finalists.len() <= 4 && !finalists.contains(&"stribeck-friction"), "{finalists:?}");
-        let candidates = effects::CATALOGUE.iter().copied().filter(is_candidate).count();
+        let candidates = effects::CATALOGUE.iter().copied().filter(|effect| acts_on_motion(effect)).count();
         assert_eq!(finalists.len() + refused.len(), candidates);
     }
 }

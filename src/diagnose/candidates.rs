@@ -15,15 +15,19 @@ pub fn physical(spec: &ModelSpec, kind: Kind) -> Vec<&'static Effect> {
         .iter()
         .copied()
         .filter(|effect| {
-            let judged_elsewhere = effect.is_instrument()
-                || effect.place == Place::User
-                || matches!(effect.name, "mass-error" | "table-interaction");
+            let judged_elsewhere = !acts_on_motion(effect) || effect.name == "table-interaction";
             let absent = effect.needs_bumper() && spec.bumper.is_none()
                 || kind == Kind::Component && effect.name == "stand-compliance";
             let given = spec.effects.iter().any(|given| given.name == effect.name);
             !(judged_elsewhere || absent || given)
         })
         .collect()
+}
+
+/// Whether an effect of the catalogue changes the motion in a way of its own: no instrument, no formula of the user, no wrong
+/// mass.
+pub fn acts_on_motion(effect: &Effect) -> bool {
+    !(effect.is_instrument() || effect.place == Place::User || effect.name == "mass-error")
 }
 
 /// Simpler effects that are contained in an effect as a limit: parsimony prefers them.

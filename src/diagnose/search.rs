@@ -335,7 +335,6 @@ fn reached(problem: &Problem<'_>, nominal: &ModelSpec, fit: Refit) -> Refit {
 impl Search {
     /// The best trial of all stages, the base when there is none.
     pub fn best(&self) -> &Trial {
-        let first = self.stages.iter().flat_map(|stage| &stage.finalists);
-        first.fold(&self.base, |best, trial| if verdict::apart(trial, best) > 0.0 { trial } else { best })
+        self.stages.iter().flat_map(|stage| &stage.finalists).fold(&self.base, verdict::better)
     }
 }

@@ -91,6 +91,11 @@ pub fn apart(better: &Trial, worse: &Trial) -> f64 {
     gain(better, worse) + evidence(better, worse)
 }
 
+/// The better of two trials over the whole record, the first when neither is.
+pub fn better<'a>(best: &'a Trial, trial: &'a Trial) -> &'a Trial {
+    if apart(trial, best) > 0.0 { trial } else { best }
+}
+
 /// The part of the steps that were fitted.
 fn evidence(trial: &Trial, from: &Trial) -> f64 {
     let added = trial.dimension() as f64 - from.dimension() as f64;
@@ -168,8 +173,7 @@ fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(
                 && follows(trial, from, thresholds)
         })
         .collect();
-    let best =
-        passed.iter().copied().reduce(|best, trial| if apart(trial, best) > 0.0 { trial } else { best })?;
+    let best = passed.iter().copied().reduce(better)?;
     let equals: Vec<&&Trial> = passed.iter().filter(|trial| apart(best, trial) < thresholds.tie).collect();
     let is_simpler = |a: &Trial, b: &Trial| contained_in(&last_name(b)).contains(&last_name(a).as_str());
     let chosen = equals
@@ -227,7 +231,6 @@ fn excludes_zero(trial: &Trial, from: &Trial) -> bool {
 }
 
 fn weigh(finalists: &[Trial], thresholds: Thresholds) -> Vec<(String, f64)> {
-    let better = |best, trial| if apart(trial, best) > 0.0 { trial } else { best };
     let Some(best) = finalists.iter().reduce(better) else { return Vec::new() };
     // A tie is even odds; the scale of the tie takes the place of a nat, since model error and
     // colour make the likelihood sharper than experience bears out.
