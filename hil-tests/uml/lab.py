@@ -83,7 +83,7 @@ def kill(binary: str, out: Path) -> float:
         url = daemon.stdout.readline().strip()
         command = [binary, "start", "--confirm", "--url", url, "--json"]
         started = subprocess.run(command, capture_output=True, text=True)
-        assert started.returncode == 0, started.stderr
+        assert started.returncode == 0, f"start ends with {started.returncode}: {started.stderr}"
         wait_for_step(url)
         daemon.send_signal(signal.SIGKILL)
         daemon.wait()

@@ -49,7 +49,7 @@ fn show(checked: &Value) {
     }
     for channel in list("channels") {
         eprintln!(
-            "        {:<24} zero {:>10.3e} {}  noise {:>9.2e} {1}",
+            "        {:<24} zero {:>10.3e} {:<4}  noise {:>9.2e} {2}",
             channel["channel"].as_str().unwrap_or_default(),
             channel["zero"].as_f64().unwrap_or(f64::NAN),
             channel["unit"].as_str().unwrap_or_default(),
