@@ -27,7 +27,7 @@ fn a_drive_is_configured_enabled_moved_and_stopped() {
     assert!((largest_m - 0.005).abs() < 2e-4, "{largest_m} m");
     drive.wish(Wish::QuickStop);
     until("quick stop is seen", || drive.phase() == Phase::Stopping);
-    until("the table rests", || lab.report().demand.velocity_m_s == 0.0);
+    until("the table rests", || lab.report().at_rest());
     assert_eq!(lab.report().drive, State::QuickStopActive);
     drop(drive);
     until("the power is off", || lab.report().drive == State::SwitchOnDisabled);
@@ -68,7 +68,7 @@ fn fault_of(fault: Fault) -> (Option<DriveFault>, State) {
     let mut drive = enabled(bus, drive_settings(), clock);
     shake(&mut drive, clock, |drive| drive.fault().is_some());
     let fault = drive.fault();
-    until("the table rests", || lab.report().demand.velocity_m_s == 0.0);
+    until("the table rests", || lab.report().at_rest());
     (fault, lab.report().drive)
 }
 

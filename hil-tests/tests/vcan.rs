@@ -259,7 +259,7 @@ fn a_killed_host_leaves_the_drive_in_quick_stop_within_50_ms() {
         victim.kill().expect("killed");
         victim.wait().expect("gone");
         until("the drive stops by itself", || lab.report().drive == State::QuickStopActive);
-        until("the table rests", || lab.report().demand.velocity_m_s == 0.0);
+        until("the table rests", || lab.report().at_rest());
         measured.push(1e3 * lab.report().stopped_itself_after_s.expect("it stopped by itself"));
     }
     println!("from the last SYNC of a killed host to quick stop: {measured:.1?} ms");

@@ -13,13 +13,11 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from lab import RIG, emulator
+from lab import RIG, emulator, report_at_rest
 
 RATE_HZ = 2048
 # Seconds after the drive was enabled: the check before the run takes five, the sweep's ramp one.
 FAULT_AT_S = 8
-# The emulated lab ends by itself after the longest of these runs.
-EMULATED_S = 35
 
 
 @dataclass
@@ -70,10 +68,10 @@ def noticed_s(folder: Path, received: int, report: dict) -> float:
 
 
 def check(binary: str, out: Path, fault: str, expected: Expected) -> None:
-    lab = emulator(binary, EMULATED_S, f"{FAULT_AT_S} {fault}")
+    lab = emulator(binary, f"{FAULT_AT_S} {fault}")
     try:
         done = run(binary, RIG, out)
-        report = json.loads(lab.communicate()[0])
+        report = report_at_rest(lab)
     finally:
         lab.kill()
     assert done.stdout.strip(), done.stderr
@@ -109,11 +107,11 @@ def check(binary: str, out: Path, fault: str, expected: Expected) -> None:
 
 def pull_interface(binary: str, out: Path) -> None:
     """The CAN interface itself goes down in motion."""
-    lab = emulator(binary, EMULATED_S)
+    lab = emulator(binary)
     pull = subprocess.Popen(["sh", "-c", f"sleep {FAULT_AT_S + 1}; ip link set vcan0 down"])
     try:
         done = run(binary, RIG, out)
-        report = json.loads(lab.communicate()[0])
+        report = report_at_rest(lab)
     finally:
         lab.kill()
         pull.wait()
@@ -138,10 +136,10 @@ def wrong_devices(binary: str, out: Path) -> None:
         assert text.count(before) == 1
         rig = out / f"wrong-{device}.toml"
         rig.write_text(text.replace(before, after))
-        lab = emulator(binary, EMULATED_S)
+        lab = emulator(binary)
         try:
             done = run(binary, rig, out)
-            report = json.loads(lab.communicate()[0])
+            report = report_at_rest(lab)
         finally:
             lab.kill()
         words = " ".join(line.strip(" \u2502\u00d7") for line in done.stderr.splitlines())

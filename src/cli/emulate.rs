@@ -1,5 +1,6 @@
 //! `shaketable emulate`: the devices of a rig file in software, on a pseudo terminal and a CAN interface, with the simulated
-//! table of the same file behind them, in real time. Faults come from `--fault` or from standard input.
+//! table of the same file behind them, in real time. Faults come from `--fault` or from standard input, and so does the word
+//! that ends it.
 
 use super::reading::read_model;
 use super::{CliError, Outcome};
@@ -32,14 +33,15 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// A fault and when, in seconds after the drive is first enabled, as in "12.5 daq unplug"; may be repeated.
-    /// The same words without a time, a line each on standard input, act at once.
+    /// The same words without a time, a line each on standard input, act at once; `end` there ends the emulation once the
+    /// drive rests.
     #[arg(long, value_parser = parse_scheduled)]
     fault: Vec<(f64, Fault)>,
-    /// End after so many seconds; without it the devices stay until they are killed.
+    /// End after so many seconds; without it the devices stay until `end` is said or they are killed.
     #[arg(long)]
     duration: Option<f64>,
-    /// Print one JSON object at the end (with --duration).
-    #[arg(long, requires = "duration")]
+    /// Print one JSON object at the end.
+    #[arg(long)]
     json: bool,
 }
 
@@ -122,6 +124,10 @@ fn stay(lab: &Lab, lines: &Receiver<String>, duration_s: Option<f64>) -> Result<
         let left = end.saturating_duration_since(Instant::now());
         match lines.recv_timeout(left) {
             Ok(line) if line.trim().is_empty() => {}
+            Ok(line) if line.trim() == "end" => {
+                come_to_rest(lab, end);
+                return Ok(());
+            }
             Ok(line) => match line.parse::<Fault>() {
                 Ok(fault) => lab.inject(fault),
                 Err(error) => eprintln!("{error}"),
@@ -133,6 +139,19 @@ fn stay(lab: &Lab, lines: &Receiver<String>, duration_s: Option<f64>) -> Result<
                 return Ok(());
             }
         }
+    }
+}
+
+/// Waits until all is heard that was sent so far and the drive rests, at most until `end`.
+fn come_to_rest(lab: &Lab, end: Instant) {
+    let heard = lab.report().looks + 2;
+    while Instant::now() < end {
+        let report = lab.report();
+        if report.looks >= heard && report.at_rest() {
+            return;
+        }
+        // A report is made every millisecond or two.
+        std::thread::sleep(Duration::from_millis(1));
     }
 }
 

@@ -4,7 +4,7 @@
 
 use crate::control::clock::VirtualClock;
 use crate::control::setup::{Setup, SetupError};
-use crate::control::thread::may_use_fifo;
+use crate::control::thread::{may_use_fifo, prioritise_link};
 use crate::rig::hardware::{HardwareRig, Preflight, PreflightSpec, check_loop};
 use serde::Serialize;
 use std::path::Path;
@@ -167,7 +167,8 @@ fn zeros(setup: &Setup, found: &Preflight) -> Result<String, String> {
 /// The rig at rest and around the loop; real devices in real time, the simulated rig in virtual time.
 fn rig(setup: &Setup) -> Result<Preflight, String> {
     if let Some(devices) = &setup.rig.hardware {
-        let opened = HardwareRig::open(devices, setup.rig.sample_rate_hz, None);
+        // The links run as they will in the run, so that the checks pass or fail as its start will.
+        let opened = HardwareRig::open(devices, setup.rig.sample_rate_hz, Some(prioritise_link));
         return opened.map(|(_, found)| found).map_err(|error| error.to_string());
     }
     let mut rig = setup.simulated_rig().map_err(|error| error.to_string())?;

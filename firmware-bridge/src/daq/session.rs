@@ -7,7 +7,7 @@ use crate::wire::{
     AckCode, Acknowledge, CHANNELS, Calibration, Configure, Deframer, Identity, Kind, Message,
     PROTOCOL_VERSION, Unit, WIRE_MAX, encode,
 };
-use serialport::TTYPort;
+use serialport::{SerialPort, TTYPort};
 use std::boxed::Box;
 use std::format;
 use std::io::{Read, Write};
@@ -211,7 +211,10 @@ impl Line<'_> {
         self.port.write_all(&wire[..used]).map_err(|e| failed(self.path, e))?;
         let deadline = Instant::now() + timeout;
         let mut buffer = [0; 1024];
-        while Instant::now() < deadline {
+        // What has come is read even when this thread gets the processor only after the time: the device did answer.
+        while Instant::now() < deadline
+            || self.port.bytes_to_read().map_err(|e| failed(self.path, e.into()))? > 0
+        {
             let count = match self.port.read(&mut buffer) {
                 Ok(count) => count,
                 Err(error) if error.kind() == std::io::ErrorKind::TimedOut => continue,
@@ -249,5 +252,30 @@ impl Line<'_> {
             });
         }
         Ok(calibration)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answer_that_waits_is_taken_though_its_time_is_over() {
+        let (mut device, host) = TTYPort::pair().expect("a pseudo terminal");
+        let path = host.name().expect("a path");
+        let (port, _) = open_port(&path, 921_600, Duration::from_millis(20)).expect("a port");
+        let mut line = Line { port, deframer: Deframer::new(), path: &path };
+        let done = Acknowledge { request: Kind::Stop as u8, code: AckCode::Done, value: 0 };
+        let mut wire = [0; WIRE_MAX];
+        let used = encode(&Message::Acknowledge(done), &mut wire);
+        device.write_all(&wire[..used]).expect("sent");
+        while line.port.bytes_to_read().expect("a number") < used as u32 {
+            std::thread::yield_now();
+        }
+        let ask = |line: &mut Line| {
+            line.ask_once(&Message::Stop, "stop", Duration::ZERO, |answer| acknowledged(answer, Kind::Stop))
+        };
+        assert_eq!(ask(&mut line).expect("an answer").code, AckCode::Done);
+        assert!(matches!(ask(&mut line), Err(DaqError::NoAnswer { request: "stop", timeout_ms: 0, .. })));
     }
 }

@@ -95,7 +95,8 @@ impl CanBus {
         if self.arrives(timeout)? { self.read() } else { Ok(None) }
     }
 
-    /// Waits for something that `pick` wants; other events are dropped.
+    /// Waits for something that `pick` wants; other events are dropped. What has come by then is looked at even when this
+    /// thread gets the processor only after the time: the drive did answer.
     ///
     /// # Errors
     /// The bus failed, or bus-off.
@@ -105,18 +106,20 @@ impl CanBus {
         mut pick: impl FnMut(&Frame) -> Option<T>,
     ) -> Result<Option<T>, DriveError> {
         let deadline = Instant::now() + timeout;
-        while Instant::now() < deadline {
-            match self.wait(Duration::from_millis(10))? {
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            match self.wait(left.min(Duration::from_millis(10)))? {
                 Some(BusEvent::Frame(frame)) => {
                     if let Some(found) = pick(&frame) {
                         return Ok(Some(found));
                     }
                 }
                 Some(BusEvent::BusOff) => return Err(DriveError::BusOff),
-                _ => {}
+                Some(_) => {}
+                None if left.is_zero() => return Ok(None),
+                None => {}
             }
         }
-        Ok(None)
     }
 
     /// Whether something arrives within `timeout`.
@@ -165,5 +168,24 @@ impl CanBus {
 impl AsFd for CanBus {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.socket.as_fd()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::net::UnixDatagram;
+
+    #[test]
+    fn an_answer_that_waits_is_taken_though_its_time_is_over() {
+        let (host, device) = UnixDatagram::pair().expect("a socket pair");
+        let device = CanBus::from_socket(device.into()).expect("the device's end");
+        let mut host = CanBus::from_socket(host.into()).expect("the host's end");
+        for id in [0x705, 0x585] {
+            device.send(&Frame::new(id, &[5])).expect("sent");
+        }
+        let mut answer = || host.wait_for(Duration::ZERO, |frame| (frame.id == 0x585).then_some(*frame));
+        assert_eq!(answer().expect("a bus"), Some(Frame::new(0x585, &[5])));
+        assert_eq!(answer().expect("a bus"), None);
     }
 }

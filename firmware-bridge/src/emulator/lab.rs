@@ -37,6 +37,8 @@ pub struct LabSettings {
 /// What happened in the lab.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LabReport {
+    /// Looks at the bus so far; what was sent before a report is taken into account two looks later.
+    pub looks: u64,
     /// Sample instants so far.
     pub samples: u64,
     /// Wake-ups at which the devices had to make up for more than 3 ms.
@@ -51,6 +53,13 @@ pub struct LabReport {
     pub out_of_operation_after_fault_s: Option<f64>,
     /// Last demand.
     pub demand: Demand,
+}
+
+impl LabReport {
+    /// Whether the drive stands and is not asked to move: a sine that turns round has an acceleration.
+    pub fn at_rest(&self) -> bool {
+        self.demand.velocity_m_s == 0.0 && self.demand.acceleration_m_s2 == 0.0
+    }
 }
 
 struct Shared {
@@ -330,6 +339,7 @@ impl Devices {
     fn tell(&self, shared: &Shared) {
         let stopped = self.node.stopped_itself_at_ns();
         let mut report = lock(&shared.report);
+        report.looks += 1;
         report.samples = self.instants;
         report.fault_at_sequence = self.fault_at.and_then(|(_, sequence)| sequence);
         report.out_of_operation_after_fault_s = self.out_after_s;
