@@ -22,7 +22,7 @@ RIG = Path(__file__).parents[2] / "config/rigs/lab.toml"
 A_MAX, E_MAX = 0.06, 0.02
 QUICK_STOP_S = 0.050
 # Lines of an error output that a failed assertion quotes: it may be cut at its end.
-QUOTED_LINES = 5
+QUOTED_LINES = 3
 
 
 def emulator(binary: str, *faults: str) -> subprocess.Popen:

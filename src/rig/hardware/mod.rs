@@ -43,6 +43,12 @@ pub enum HardwareError {
     /// The loop check found something.
     #[error(transparent)]
     Preflight(#[from] PreflightError),
+    /// The thread of the loop check could not be started.
+    #[error("cannot start the thread of the loop check: {0}")]
+    Thread(std::io::Error),
+    /// The thread of the loop check panicked, which is a fault of the program.
+    #[error("the thread of the loop check died")]
+    CheckDied,
 }
 
 /// A function that sets up the scheduling of the calling link thread.
@@ -102,7 +108,7 @@ impl HardwareMonitor {
 
 impl HardwareRig {
     /// Connects both devices, enables the drive, brings the table to its centre and checks the loop. `on_thread`
-    /// is run first on each link's thread.
+    /// is run first on each link's thread and on the one that moves the table for the check.
     ///
     /// # Errors
     /// [`HardwareError`], which says what is wrong and which cable to look at; the table rests then.
@@ -143,13 +149,38 @@ impl HardwareRig {
             daq_lost_at_ns: None,
         };
         rig.enable()?;
-        let mut preflight = preflight::run(&mut rig, spec, rate_hz)?;
+        let mut preflight = rig.check(spec, rate_hz, on_thread)?;
         preflight.drive = devices;
         preflight.daq = String::from_utf8_lossy(&identity.serial).trim_end_matches('\0').to_owned();
         rig.chain_delay_s = preflight.chain_delay_s;
         rig.grid = TimeGrid::new(1e9 / rate_hz);
         rig.stale = true;
         Ok((rig, preflight))
+    }
+
+    /// Checks the loop from a thread of its own: while it moves the table it must be as punctual as the control thread is, and
+    /// the caller's scheduling stays as it was.
+    fn check(
+        &mut self,
+        spec: &HardwareSpec,
+        rate_hz: f64,
+        on_thread: Option<ThreadSetup>,
+    ) -> Result<Preflight, HardwareError> {
+        let checked = std::thread::scope(|scope| {
+            let body = || {
+                if let Some(setup) = on_thread {
+                    setup();
+                }
+                preflight::run(self, spec, rate_hz)
+            };
+            let thread = std::thread::Builder::new().name("loop-check".into()).spawn_scoped(scope, body);
+            thread.map(std::thread::ScopedJoinHandle::join)
+        });
+        match checked {
+            Ok(Ok(measured)) => Ok(measured?),
+            Ok(Err(_)) => Err(HardwareError::CheckDied),
+            Err(error) => Err(HardwareError::Thread(error)),
+        }
     }
 
     /// A second pair of eyes on the links.

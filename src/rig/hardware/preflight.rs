@@ -1,7 +1,7 @@
 //! Before a run: zeros and noise at rest, the way to the centre, and a small sine that measures the delay of
 //! the whole chain and shows swapped, inverted, dead and wrongly scaled channels.
 //!
-//! Called by [`HardwareRig::open`](super::HardwareRig::open) on the caller's thread; what it returns is shown to the
+//! Called by [`HardwareRig::open`](super::HardwareRig::open) on a thread of its own; what it returns is shown to the
 //! operator and stored with the run.
 
 use super::signature::{Finding, NAMES, Response, delay_s, judge, ratios};
