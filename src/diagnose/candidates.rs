@@ -66,6 +66,33 @@ pub fn scales(spec: &ModelSpec, motion: &Motion) -> Scales {
     scales
 }
 
+/// A start whose leading parameter is scaled, within what it may be, and by how much it was; `None` when its sign forbids it.
+pub fn scaled(start: &EffectSpec, factor: f64, scales: &Scales) -> Option<(EffectSpec, f64)> {
+    let effect = effects::find(&start.name).ok()?;
+    let leading = (effect.parameters)(scales).into_iter().find(|p| p.default.is_none())?;
+    let mut spec = start.clone();
+    let value = spec.parameters.get_mut(leading.name)?;
+    if leading.sign == Sign::Positive && factor <= 0.0 {
+        return None;
+    }
+    let (low, high) = leading.prior;
+    let most = (3.0 * high.abs()).min(leading.at_most);
+    let least = if leading.sign == Sign::Either { -most } else { (0.1 * low).max(1e-6 * high.abs()) };
+    let before = *value;
+    *value = (before * factor).clamp(least.min(most), most);
+    let by = *value / before;
+    by.is_finite().then_some((spec, by))
+}
+
+/// A start with its leading parameter made smaller.
+pub fn fainter(start: &EffectSpec, factor: f64, scales: &Scales) -> Option<EffectSpec> {
+    let effect = effects::find(&start.name).ok()?;
+    let leading = (effect.parameters)(scales).into_iter().find(|p| p.default.is_none())?;
+    let mut spec = start.clone();
+    *spec.parameters.get_mut(leading.name)? *= factor;
+    Some(spec)
+}
+
 /// Starting values: shape parameters spread over their prior ranges, the leading (amplitude)
 /// parameter small, of either sign where it may be.
 pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {

@@ -2,6 +2,7 @@
 //! effects.
 
 pub mod adding;
+mod by_response;
 pub mod candidates;
 pub mod engine;
 pub mod instruments;
@@ -11,6 +12,8 @@ pub mod next_test;
 pub mod report;
 pub mod search;
 pub mod structure;
+#[cfg(test)]
+pub(crate) mod testing;
 pub mod trial;
 pub mod verdict;
 

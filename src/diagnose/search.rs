@@ -1,5 +1,6 @@
 //! The search for what is missing: base re-fitted, candidates one by one, then in combination.
 
+use super::by_response::FAR;
 use super::candidates;
 use super::trial::{self, Trial};
 use super::verdict::{self, Thresholds};
@@ -7,6 +8,7 @@ use crate::identify::least_squares::Settings;
 use crate::identify::motion::Motion;
 use crate::identify::problem::{NARROW, Part, Problem, WIDE};
 use crate::identify::refit::{Domain, Refit};
+use crate::identify::response::Measured;
 use crate::model::effects::{self, Effect};
 use crate::model::{EffectSpec, ModelSpec, Scales};
 use crate::parallel;
@@ -47,7 +49,7 @@ const PROMISING: f64 = 3.0;
 const UNSEEN: f64 = 0.9;
 /// So many finalists are simulated at most, those within so many nats of the best.
 const SIMULATED: usize = 3;
-const CLOSE: f64 = 50.0;
+pub(super) const CLOSE: f64 = 50.0;
 
 /// What a search found at one stage: the best so far plus one more effect.
 #[derive(Clone, Debug)]
@@ -69,13 +71,15 @@ pub struct Search {
 
 /// Everything a search needs to know.
 pub struct Searcher<'a> {
-    motion: &'a Motion,
-    effort: Effort,
+    pub(super) motion: &'a Motion,
+    pub(super) effort: Effort,
     screening: Problem<'a>,
     fitting: Problem<'a>,
     /// The nominal model fitted by force.
     fitted: Option<Refit>,
     stride: usize,
+    /// The response to lay models against, where there is one.
+    pub(super) measured: Option<Measured<'a>>,
 }
 
 impl<'a> Searcher<'a> {
@@ -105,7 +109,7 @@ impl<'a> Searcher<'a> {
             }
         }
         let stride = total.div_ceil(effort.output_samples.max(1)).max(1);
-        Self { motion, effort, screening, fitting, fitted, stride }
+        Self { motion, effort, screening, fitting, fitted, stride, measured: Measured::new(motion) }
     }
 
     /// The problem with the finer thinning.
@@ -120,7 +124,15 @@ impl<'a> Searcher<'a> {
 
     /// Re-fits the base model.
     pub fn base(&self, nominal: &ModelSpec) -> Option<Trial> {
-        trial::base(&self.fitting, nominal, self.fitted.as_ref(), self.stride)
+        let refit = trial::base_by_force(&self.fitting, nominal, self.fitted.as_ref())?;
+        self.finish(&trial::judge_by_force(&self.fitting, &[], refit)?)
+    }
+
+    /// Refines what was fitted by force, and judges it: by the response where there is one.
+    pub fn finish(&self, by_force: &Trial) -> Option<Trial> {
+        let settings = Settings { iterations: 20, ..Settings::default() };
+        let responded = self.measured.as_ref().and_then(|m| trial::respond(m, by_force, None, settings));
+        responded.or_else(|| trial::finish(&self.fitting, by_force, self.stride))
     }
 
     /// What every candidate adds to the fitted base model on the thinned training steps, best first: nats, coloured
@@ -149,7 +161,8 @@ impl<'a> Searcher<'a> {
         let Some(base) = trial::polish(&self.screening, &from.refit, Domain::Force, settled) else {
             return Stage { finalists: Vec::new(), screened: Vec::new() };
         };
-        let mut best = self.screen(&base, &effects, &scales);
+        let near = from.response.as_ref().is_some_and(|response| response.left[0].median <= FAR);
+        let mut best = if near { Vec::new() } else { self.screen(&base, &effects, &scales) };
         let reference = trial::objective(&base).max(1e-300);
         let floor = (self.screening.weighted_count(Part::Training) as f64).min(reference);
         let share = |objective: f64| (objective - floor) / (reference - floor).max(1e-9 * reference);
@@ -171,8 +184,19 @@ impl<'a> Searcher<'a> {
             .skip(pass)
             .map(|(name, refit)| ((*name).to_owned(), share(trial::objective(refit))))
             .collect();
-        best.truncate(pass);
-        let finalists = self.finalists(from, &best);
+        let finalists = match (&self.measured, &from.response) {
+            (Some(measured), Some(_)) => {
+                best.truncate(pass.max(2));
+                self.by_response(measured, from, &best, &effects, &scales)
+            }
+            _ => {
+                best.truncate(pass);
+                self.finalists(from, &best)
+            }
+        };
+        let screened =
+            screened.into_iter().filter(|(name, _)| finalists.iter().all(|t| verdict::last_name(t) != *name));
+        let screened = screened.collect();
         Stage { finalists, screened }
     }
 
@@ -282,26 +306,33 @@ impl<'a> Searcher<'a> {
         let enough = if component { 0.0 } else { 0.5 * thresholds.left };
         let base = self.base(nominal)?;
         let mut search = Search { base, stages: Vec::new() };
-        for depth in 0..self.effort.together {
+        // Beyond a pair the response explains anything.
+        let together =
+            if search.base.response.is_some() { self.effort.together.min(2) } else { self.effort.together };
+        for depth in 0..together {
             let from = search.best().clone();
-            if depth > 0 && (from.share_left(&search.base) < enough || from.excess() < thresholds.excess) {
+            if depth > 0
+                && from.response.is_none()
+                && (from.share_left(&search.base) < enough || from.excess() < thresholds.excess)
+            {
                 break;
             }
             let mut stage = self.stage(&from);
             let done = |stage: &Stage, base: &Trial| {
-                stage
-                    .finalists
-                    .first()
-                    .is_some_and(|best| best.share_left(base) < enough || best.excess() < thresholds.excess)
+                stage.finalists.first().is_some_and(|best| {
+                    best.share_left(base) < enough
+                        || best.excess() < thresholds.excess
+                        || best.response.is_some()
+                })
             };
             // A pair may also grow from the second best: greedy search alone can start wrong.
             let second = search.stages.first().and_then(|s| s.finalists.get(1));
             if let (1, false, Some(second)) = (depth, done(&stage, &search.base), second) {
                 stage.finalists.extend(self.stage(second).finalists);
-                stage.finalists.sort_by(|a, b| a.force.chi2.total_cmp(&b.force.chi2));
+                best_first(&mut stage.finalists, &search.base);
             }
-            let gained =
-                stage.finalists.first().is_some_and(|best| verdict::gain(best, &from) > thresholds.gain);
+            self.merge(&mut stage, &search.base);
+            let gained = stage.finalists.first().is_some_and(|best| verdict::brings(best, &from, thresholds));
             search.stages.push(stage);
             if !gained {
                 break;
@@ -330,6 +361,11 @@ fn reached(problem: &Problem<'_>, nominal: &ModelSpec, fit: Refit) -> Refit {
         }
     }
     best
+}
+
+/// By what they bring on top of another trial.
+pub(super) fn best_first(trials: &mut [Trial], from: &Trial) {
+    trials.sort_by(|a, b| verdict::apart(b, from).total_cmp(&verdict::apart(a, from)));
 }
 
 impl Search {

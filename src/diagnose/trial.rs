@@ -4,6 +4,7 @@ use crate::identify::least_squares::Settings;
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::{Part, Problem};
 use crate::identify::refit::{Domain, Refit, inflation, refit};
+use crate::identify::response::{Laid, Left, Measured};
 use crate::model::{EffectSpec, ModelSpec, Scales};
 use crate::record::Kind;
 
@@ -82,11 +83,70 @@ pub struct Trial {
     /// Simulated response of held-out steps: an explanation has to improve it. `None` for rivals
     /// that the force alone already refuses.
     pub output: Option<Score>,
+    /// Simulated response with everything that is not the model's estimated beside it; decides where there is one.
+    pub response: Option<Response>,
+}
+
+/// How a model does by its simulated response.
+#[derive(Clone, Debug)]
+pub struct Response {
+    /// Laid against the steps of training, as fitted.
+    pub training: Laid,
+    /// Laid against the held-out steps.
+    pub held_out: Laid,
+    /// What is left in those of training and in the held-out ones.
+    pub left: [Left; 2],
+}
+
+impl Response {
+    /// How many residuals count as one independent one.
+    pub fn colour(&self) -> f64 {
+        0.5 * (self.left[0].colour + self.left[1].colour)
+    }
+
+    /// Structure that is left, in units of the noise.
+    pub fn excess(&self) -> f64 {
+        0.5 * (self.left[0].excess + self.left[1].excess)
+    }
+}
+
+/// Fits a model by its response from where a force fit or another fit of the response ended, and judges it.
+pub fn respond(
+    measured: &Measured<'_>,
+    trial: &Trial,
+    from: Option<&Laid>,
+    settings: Settings,
+) -> Option<Trial> {
+    let (spec, mut numbers) = (&trial.refit.spec, trial.refit.numbers.clone());
+    numbers.start_from(spec);
+    let training = measured.fit(spec, &numbers, trial.refit.zero_m, from, settings)?;
+    judge_response(measured, trial, numbers, training)
+}
+
+/// Judges what was fitted by the response.
+pub fn judge_response(
+    measured: &Measured<'_>,
+    trial: &Trial,
+    numbers: Numbers,
+    training: Laid,
+) -> Option<Trial> {
+    let mut spec = trial.refit.spec.clone();
+    numbers.put(&training.values, &mut spec);
+    let held_out = measured.judge(&spec, &numbers, &training)?;
+    let left =
+        [measured.left(&spec, Part::Training, &training)?, measured.left(&spec, Part::HeldOut, &held_out)?];
+    let refit = measured.refit(&spec, &numbers, &training, left[0].colour);
+    let response = Some(Response { training, held_out, left });
+    Some(Trial { refit, response, ..trial.clone() })
 }
 
 impl Trial {
     /// What was gained over another trial on the training steps, nats, coloured residuals considered.
     pub fn training_gain(&self, from: &Self) -> f64 {
+        if let (Some(with), Some(of)) = (&self.response, &from.response) {
+            let fall = of.training.cost + of.training.prior - with.training.cost - with.training.prior;
+            return 0.5 * fall / with.colour().max(1.0);
+        }
         0.5 * (from.objective - self.objective) / self.colour.max(1.0)
     }
 
@@ -99,6 +159,9 @@ impl Trial {
     /// hard contact amplifies the noise of the start in the response, and that of the laser in
     /// the force.
     pub fn share_left(&self, base: &Self) -> f64 {
+        if let (Some(with), Some(of)) = (&self.response, &base.response) {
+            return with.excess() / of.excess().max(1e-3);
+        }
         let share = |with: &Score, of: &Score| with.excess / of.excess.max(1e-3);
         let force = share(&self.force, &base.force);
         match (&self.output, &base.output) {
@@ -109,6 +172,9 @@ impl Trial {
 
     /// Structure that is left, in units of the noise.
     pub fn excess(&self) -> f64 {
+        if let Some(response) = &self.response {
+            return response.excess();
+        }
         self.output.map_or(self.force.excess, |output| output.excess.min(self.force.excess))
     }
 }
@@ -183,7 +249,16 @@ pub fn judge_by_force(problem: &Problem<'_>, names: &[String], refit: Refit) -> 
     let training = problem.weighted_count(Part::Training);
     let (objective, colour) = (objective(&refit), refit.inflation.max(1.0));
     let force = Score::of(&residuals, carried);
-    sound.then(|| Trial { names: names.to_vec(), force, training, objective, colour, refit, output: None })
+    sound.then(|| Trial {
+        names: names.to_vec(),
+        force,
+        training,
+        objective,
+        colour,
+        refit,
+        output: None,
+        response: None,
+    })
 }
 
 /// Refines a fit by the simulated response and scores it on the held-out steps. Where the

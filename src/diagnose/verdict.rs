@@ -38,6 +38,11 @@ pub struct Thresholds {
     /// Gain of log-likelihood on held-out steps that an effect must bring (nats, coloured
     /// residuals considered): below it, chance and numerical error are explanation enough.
     pub gain: f64,
+    /// The same where the simulated response decides, on the held-out steps and on those of the fit: each, and together. In
+    /// records with nothing missing the best of all effects brings up to some 13 together.
+    pub response: [f64; 2],
+    /// Covariance of neighbouring residuals of the response, in units of the noise, that is structure.
+    pub structure: f64,
     /// Difference of log-likelihood below which two explanations are not told apart, nats.
     pub tie: f64,
     /// Share of the base model's excess that may be left by a complete explanation.
@@ -48,7 +53,7 @@ pub struct Thresholds {
 
 impl Default for Thresholds {
     fn default() -> Self {
-        Self { gain: 12.0, tie: 6.0, left: 0.2, excess: 0.02 }
+        Self { gain: 12.0, response: [3.0, 20.0], structure: 0.03, tie: 6.0, left: 0.2, excess: 0.02 }
     }
 }
 
@@ -81,6 +86,9 @@ pub struct Decision {
 /// Difference of log-likelihood of two trials on the held-out steps, in nats: how much better the
 /// first is. The noise level itself is estimated, so the logarithm of the mean squares is compared.
 pub fn gain(better: &Trial, worse: &Trial) -> f64 {
+    if let (Some(with), Some(of)) = (&better.response, &worse.response) {
+        return 0.5 * (of.held_out.cost - with.held_out.cost) / with.colour().min(of.colour()).max(1.0);
+    }
     let independent = better.force.count as f64 / better.force.colour;
     0.5 * independent * (worse.force.mean().max(1e-300) / better.force.mean().max(1e-300)).ln()
 }
@@ -99,6 +107,10 @@ pub fn better<'a>(best: &'a Trial, trial: &'a Trial) -> &'a Trial {
 /// The part of the steps that were fitted.
 fn evidence(trial: &Trial, from: &Trial) -> f64 {
     let added = trial.dimension() as f64 - from.dimension() as f64;
+    if let (Some(with), Some(of)) = (&trial.response, &from.response) {
+        let fall = of.training.cost + of.training.prior - with.training.cost - with.training.prior;
+        return schwarz_nats(fall, added, with.training.count, with.colour().min(of.colour()));
+    }
     schwarz_nats(from.objective - trial.objective, added, trial.training, trial.colour)
 }
 
@@ -147,7 +159,9 @@ pub fn decide(search: &Search, structure: impl Fn(&Trial) -> Structure, threshol
     let seen = !taken.names.is_empty() && of_base > 0.5 * base.force.excess;
     let share = taken.share_left(base);
     let left = if seen { share.min(structure(&taken).explained / of_base.max(1e-300)) } else { share };
-    let verdict = if taken.names.is_empty() {
+    let verdict = if taken.response.is_some() {
+        by_response(&taken, &ambiguous_with, thresholds)
+    } else if taken.names.is_empty() {
         // Nothing in the catalogue helps; is anything left at all?
         let structured = of_base > STRUCTURED * excess || excess > UNMISTAKABLE;
         if excess > thresholds.excess && structured { Verdict::OutsideCatalogue } else { Verdict::Adequate }
@@ -161,16 +175,42 @@ pub fn decide(search: &Search, structure: impl Fn(&Trial) -> Structure, threshol
     Decision { verdict, chosen: taken, ambiguous_with, probabilities, refused, left }
 }
 
+/// A further effect has to bring so many times what the first has to.
+const FURTHER: f64 = 3.0;
+
+/// The verdict where the simulated response decides.
+fn by_response(taken: &Trial, ambiguous_with: &[String], thresholds: Thresholds) -> Verdict {
+    if taken.excess() > thresholds.structure {
+        Verdict::OutsideCatalogue
+    } else if taken.names.is_empty() {
+        Verdict::Adequate
+    } else if ambiguous_with.is_empty() {
+        Verdict::Missing
+    } else {
+        Verdict::Ambiguous
+    }
+}
+
+/// Whether a trial brings more than chance on the held-out steps and on those of the fit: a gain on either alone may be one
+/// lucky step. Where the simulated response decides, its residuals are white and both count together.
+pub fn brings(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
+    let (held_out, fitted) = (gain(trial, from), evidence(trial, from));
+    if trial.response.is_some() {
+        // A further effect takes up what the fit of the first one has left, too.
+        let [each, together] =
+            thresholds.response.map(|nats| if from.names.is_empty() { nats } else { FURTHER * nats });
+        held_out > each && fitted > each && held_out + fitted > together
+    } else {
+        held_out > thresholds.gain && fitted > thresholds.gain
+    }
+}
+
 /// The best finalist that passes, the simpler one among equals, and those that tie with it.
 fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(Trial, Vec<String>)> {
     let passed: Vec<&Trial> = finalists
         .iter()
         .filter(|trial| {
-            gain(trial, from) > thresholds.gain
-                // A gain on held-out steps alone may be one lucky step.
-                && evidence(trial, from) > thresholds.gain
-                && excludes_zero(trial, from)
-                && follows(trial, from, thresholds)
+            brings(trial, from, thresholds) && excludes_zero(trial, from) && follows(trial, from, thresholds)
         })
         .collect();
     let best = passed.iter().copied().reduce(better)?;
@@ -186,7 +226,9 @@ fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(
         .map(|trial| last_name(trial))
         .collect();
     let mut chosen = chosen.clone();
-    sharpen(&mut chosen, from);
+    if chosen.response.is_none() {
+        sharpen(&mut chosen, from);
+    }
     Some((chosen, rivals))
 }
 
@@ -208,6 +250,7 @@ fn sharpen(trial: &mut Trial, from: &Trial) {
 /// record, since a step in which a stiff contact leads elsewhere rules the mean.
 fn follows(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
     match (&trial.output, &from.output) {
+        _ if trial.response.is_some() => true,
         (Some(with), Some(without)) => {
             let independent = with.count as f64 / with.colour;
             let lost = 0.5 * independent * (with.mean() / without.mean().max(1e-300)).ln();

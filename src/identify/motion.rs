@@ -7,6 +7,7 @@
 //! frequency where their noises are equal (a Wiener filter, zero phase).
 
 use super::kinematics::{self, Instruments, Tolerances};
+use super::periodic::periodic;
 use super::spectral::{Spectrum, white_noise_rms};
 use super::together::Source;
 use crate::record::{Kind, Record};
@@ -114,6 +115,7 @@ impl Motion {
         };
         motion.windows = cut(record, &motion);
         motion.remove_acceleration_zeros();
+        motion.remove_noise_of_the_table();
         Ok(motion)
     }
 
@@ -142,6 +144,19 @@ impl Motion {
             count += window.range.len();
         }
         (sum / count.max(1) as f64).sqrt()
+    }
+
+    /// What drives a simulation has no noise where the table moves periodically.
+    fn remove_noise_of_the_table(&mut self) {
+        if self.kind != Kind::Base {
+            return;
+        }
+        for window in &self.windows {
+            let stretch = &mut self.drive_m_s2[window.warm_from..window.range.end];
+            if let Some(smooth) = periodic(stretch, window.frequency_hz, self.sample_rate_hz) {
+                stretch.copy_from_slice(&smooth);
+            }
+        }
     }
 
     /// Accelerations average to the change of velocity over the duration: what a window shows
@@ -438,7 +453,16 @@ fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
     }
     let start = range.end - (counted * cycle).round() as usize;
     let warm_from = start.saturating_sub((3.0 * cycle).round() as usize).max(range.start);
+    let warm_from = from_the_middle(&motion.displacement_m, warm_from..start, cycle);
     Some(Window { step, frequency_hz, warm_from, range: start..range.end, held_out: false, source: 0 })
+}
+
+/// The first passage through zero within a cycle: a model is warmed up from rest in the middle, and what it remembers of a jump
+/// from there to elsewhere it forgets slowly.
+fn from_the_middle(displacement: &[f64], range: Range<usize>, cycle: f64) -> usize {
+    let within = range.start..range.end.min(range.start + cycle.ceil() as usize + 1).min(displacement.len());
+    let crosses = |n: &usize| displacement[n - 1] * displacement[*n] <= 0.0;
+    within.clone().skip(1).find(crosses).unwrap_or(range.start)
 }
 
 /// Thirty equal parts inside a record without steps, each warmed up by the one before.

@@ -1,6 +1,7 @@
 //! Re-fitting a model to a motion: force domain first, then the simulated response.
 
 use super::least_squares::{self, Fit, Free, Settings};
+use super::motion::Motion;
 use super::numbers::Numbers;
 use super::problem::{Part, Problem};
 use crate::model::ModelSpec;
@@ -52,8 +53,8 @@ pub enum Domain {
 
 /// Standard deviation of the displacement sensor's zero for motions of the given RMS: 20 um for
 /// the paper's rig, in proportion elsewhere.
-fn zero_sigma_m(problem: &Problem<'_>) -> f64 {
-    1.5e-3 * problem.motion.rms(&problem.motion.displacement_m)
+pub fn zero_sigma_m(motion: &Motion) -> f64 {
+    1.5e-3 * motion.rms(&motion.displacement_m)
 }
 
 /// Fits the numbers of `start` over the windows of a part.
@@ -68,7 +69,7 @@ pub fn refit(
     part: Part,
     settings: Settings,
 ) -> Option<Refit> {
-    let free = with_zero(numbers, zero_m, zero_sigma_m(problem));
+    let free = with_zero(numbers, zero_m, zero_sigma_m(problem.motion));
     let mut spec = start.clone();
     let mut evaluate = |x: &[f64], r: &mut Vec<f64>| {
         let zero = x[x.len() - 1];

@@ -1,0 +1,167 @@
+//! The part of the search that the simulated response decides: candidates are scored to first order, the best are fitted, and what
+//! contains a simpler effect is tried without it. The search calls it wherever a base record drives a simulation.
+
+use super::candidates;
+use super::search::{CLOSE, Searcher, Stage, best_first};
+use super::trial::{self, Trial};
+use super::verdict;
+use crate::identify::least_squares::Settings;
+use crate::identify::refit::Refit;
+use crate::identify::response::{Laid, Measured};
+use crate::model::effects::Effect;
+use crate::model::{EffectSpec, ModelSpec, Scales};
+use crate::parallel;
+
+/// So many candidates that the response puts first are fitted by it.
+const SCORED: usize = 4;
+/// So many of those are refined.
+const REFINED: usize = 3;
+/// Nats to first order below which a candidate is not fitted, the first alone to be refused by name; and the share of the first
+/// one's.
+const WORTH: f64 = 15.0;
+const SHARE: f64 = 0.05;
+/// Median over the steps of the mean square over the noise above which a model is too far off for first order.
+pub(super) const FAR: f64 = 1.15;
+/// Nats that a simpler effect beside the one that contains it has to bring.
+const MERGED: f64 = 20.0;
+/// Change of the response, in units of the noise, that is faint enough for first order; attempts to make a start as faint.
+const FAINT: f64 = 0.3;
+const FAINTER: usize = 3;
+impl Searcher<'_> {
+    /// An effect that contains the one before it (Stribeck's friction and Coulomb's) may do alone.
+    pub(super) fn merge(&self, stage: &mut Stage, base: &Trial) {
+        let Some(measured) = &self.measured else { return };
+        let settings = Settings { iterations: 12, ..Settings::default() };
+        for trial in &mut stage.finalists {
+            let [simple, whole] = trial.names.as_slice() else { continue };
+            if !candidates::contained_in(whole).contains(&simple.as_str()) {
+                continue;
+            }
+            let mut spec = trial.refit.spec.clone();
+            spec.effects.remove(spec.effects.len() - 2);
+            let mut numbers = base.refit.numbers.clone();
+            let scales = candidates::scales(&base.refit.spec, self.motion);
+            numbers.add_effect(&spec, spec.effects.len() - 1, &scales);
+            let refit = Refit { spec, numbers, ..trial.refit.clone() };
+            let alone = Trial { names: vec![whole.clone()], refit, ..trial.clone() };
+            let from = base.response.as_ref().map(|response| &response.training);
+            if let Some(alone) = trial::respond(measured, &alone, from, settings)
+                && verdict::apart(trial, &alone) < MERGED
+            {
+                *trial = alone;
+            }
+        }
+    }
+
+    /// Fits candidates by the simulated response: those that the force puts first, and those that the response itself does to
+    /// first order, from where each puts them.
+    pub(super) fn by_response(
+        &self,
+        measured: &Measured<'_>,
+        from: &Trial,
+        by_force: &[(&'static str, Refit)],
+        effects: &[&'static Effect],
+        scales: &Scales,
+    ) -> Vec<Trial> {
+        let Some(response) = &from.response else { return Vec::new() };
+        let (spec, laid) = (&from.refit.spec, &response.training);
+        let with = |start: &EffectSpec| {
+            let mut with = spec.clone();
+            with.effects.push(start.clone());
+            with
+        };
+        let mut first: Vec<(f64, ModelSpec)> = Vec::new();
+        if let Some(tangent) = measured.tangent(spec, &from.refit.numbers, laid) {
+            let starts: Vec<EffectSpec> =
+                effects.iter().flat_map(|e| candidates::starts(e, scales)).collect();
+            let scored = parallel::map(&starts, parallel::cores(), |start| {
+                let (mut start, mut score) = (start.clone(), tangent.score(&with(start))?);
+                // Fainter, where it is too much for first order; not where it gets no fainter.
+                for _ in 0..FAINTER {
+                    if score.change < FAINT {
+                        break;
+                    }
+                    let fainter = candidates::fainter(&start, 0.5 * FAINT / score.change, scales)?;
+                    match tangent.score(&with(&fainter)) {
+                        Some(of) if of.change < 0.7 * score.change => (start, score) = (fainter, of),
+                        _ => break,
+                    }
+                }
+                let (scaled, scale) = candidates::scaled(&start, score.scale, scales)?;
+                let mut spec = with(&scaled);
+                let moved = laid.values.iter().zip(&score.followed).map(|(x, f)| x + f * scale);
+                // The model's own numbers follow, within their bounds.
+                let free = &from.refit.numbers.free;
+                let moved: Vec<f64> = moved.zip(free).map(|(x, f)| x.clamp(f.bounds.0, f.bounds.1)).collect();
+                from.refit.numbers.put(&moved, &mut spec).then_some((score.nats, spec))
+            });
+            first = scored.into_iter().flatten().collect();
+            first.sort_by(|a, b| b.0.total_cmp(&a.0));
+            let mut seen: Vec<String> = Vec::new();
+            first.retain(|(_, spec)| {
+                let name = spec.effects.last().map(|e| e.name.clone()).unwrap_or_default();
+                let new = !seen.contains(&name);
+                seen.push(name);
+                new
+            });
+        }
+        // To first order is near enough where little is left; otherwise the force has a say.
+        let best = first.first().map_or(0.0, |(nats, _)| *nats);
+        if !from.names.is_empty() && best < WORTH {
+            return Vec::new();
+        }
+        let far = response.left[0].median > FAR;
+        let worth = (SHARE * best).max(if far { 0.0 } else { WORTH });
+        let by_force = if far { by_force } else { &[] };
+        let mut starts: Vec<ModelSpec> = first.iter().take(1).map(|(_, spec)| spec.clone()).collect();
+        starts.extend(
+            first
+                .into_iter()
+                .skip(1)
+                .take(SCORED - 1)
+                .filter(|(nats, _)| *nats > worth)
+                .map(|(_, spec)| spec),
+        );
+        starts.extend(by_force.iter().map(|(_, refit)| refit.spec.clone()));
+        let short = Settings { iterations: 3, ..Settings::default() };
+        let long = Settings { iterations: 10, ..Settings::default() };
+        let fit =
+            |measured: &Measured<'_>, start: &ModelSpec, from_laid: Option<&Laid>, settings: Settings| {
+                let mut numbers = from.refit.numbers.clone();
+                numbers.add_effect(start, start.effects.len() - 1, scales);
+                numbers.start_from(start);
+                let laid = measured.fit(start, &numbers, from.refit.zero_m, from_laid, settings)?;
+                let mut spec = start.clone();
+                numbers.put(&laid.values, &mut spec).then_some((spec, numbers, laid))
+            };
+        let some = measured.every(2);
+        let mut tried: Vec<_> =
+            parallel::map(&starts, parallel::cores(), |start| fit(&some, start, None, short))
+                .into_iter()
+                .flatten()
+                .collect();
+        let cost = |laid: &Laid| laid.cost + laid.prior;
+        tried.sort_by(|a, b| cost(&a.2).total_cmp(&cost(&b.2)));
+        let mut seen: Vec<String> = Vec::new();
+        tried.retain(|(spec, _, _)| {
+            let name = spec.effects.last().map(|e| e.name.clone()).unwrap_or_default();
+            let new = !seen.contains(&name);
+            seen.push(name);
+            new
+        });
+        tried.truncate(REFINED);
+        // What is far behind is not refined.
+        let near = tried.first().map_or(0.0, |best| cost(&best.2) + 2.0 * CLOSE);
+        let fitted = parallel::map(&tried, parallel::cores(), |(spec, _, found)| {
+            let settings = if cost(found) < near { long } else { Settings { iterations: 1, ..long } };
+            let (spec, numbers, laid) = fit(measured, spec, Some(laid), settings)?;
+            let mut names = from.names.clone();
+            names.push(spec.effects.last()?.name.clone());
+            let refit = Refit { spec, ..from.refit.clone() };
+            trial::judge_response(measured, &Trial { names, refit, ..from.clone() }, numbers, laid)
+        });
+        let mut finalists: Vec<Trial> = fitted.into_iter().flatten().collect();
+        best_first(&mut finalists, from);
+        finalists
+    }
+}

@@ -1,0 +1,33 @@
+//! Records for tests of fits and diagnosis: a coarse sweep as the instruments of the rig would show it.
+
+use crate::model::{ModelSpec, Observer, Options, simulate_sweep};
+use crate::record::{Kind, Record};
+use crate::sweep::{Schedule, SweepSpec, Transition};
+use rand::{SeedableRng, prelude::Distribution};
+
+const DT: f64 = 1.0 / 2048.0;
+
+/// What the instruments would have seen of a model, with the noise of the rig's sensors.
+pub fn seen(spec: &ModelSpec, seed: u64) -> Record {
+    let mut sweep = SweepSpec { transition: Transition::None, ..SweepSpec::paper() };
+    (sweep.start_hz, sweep.stop_hz, sweep.step_hz, sweep.cycles) = (Some(0.5), Some(2.3), Some(0.3), 10);
+    let schedule = Schedule::new(&sweep).expect("valid");
+    let mut random = rand_pcg::Pcg64::seed_from_u64(seed);
+    let normal = rand_distr::Normal::new(0.0, 1.0).expect("valid");
+    let mut hiss = |sigma: f64| sigma * normal.sample(&mut random);
+    let mut observer = Observer::new(spec, DT).expect("builds");
+    let mut record = Record::empty("test", Kind::Base, 1.0 / DT);
+    let options = Options::default();
+    simulate_sweep(spec, schedule.steps(), DT, &options, &mut |sample, step, table, response| {
+        let now = observer.observe(response);
+        record.time_s.push(sample as f64 * DT);
+        record.table_displacement_m.push(0.0);
+        record.table_acceleration_m_s2.push(table + hiss(0.01));
+        record.mass_acceleration_1_m_s2.push(now.mass_acceleration_1_m_s2 + hiss(0.01));
+        record.mass_acceleration_2_m_s2.push(now.mass_acceleration_2_m_s2 + hiss(0.01));
+        record.relative_displacement_m.push(now.relative_displacement_m + hiss(3e-5));
+        record.step.push(step as i32);
+    })
+    .expect("runs");
+    record
+}

@@ -1,0 +1,335 @@
+//! Damped Gauss-Newton on the response: the nuisances of each step are eliminated from the normal equations, which therefore stay
+//! as small as the model. Called for every fit and every judgement by the response.
+
+use super::{
+    COMMON, Laid, Measured, Nuisances, OVER, SIMULATED, STARTING, Simulated, Specimens, Step, robust, slopes,
+};
+use crate::identify::least_squares::{self, Free, Settings, dot};
+use crate::identify::numbers::Numbers;
+use crate::identify::problem::Part;
+use crate::identify::refit::Refit;
+use crate::model::ModelSpec;
+use nalgebra::{DMatrix, DVector};
+use std::cell::RefCell;
+
+/// A fall of the cost that is not worth another step.
+const SETTLED: f64 = 0.3;
+
+impl<'a> Measured<'a> {
+    /// Slopes of a step's residuals along the values that move and along its nuisances.
+    fn columns(
+        &self,
+        job: &Job<'_>,
+        moved: &mut [Moved],
+        step: &Step<'_>,
+        own: &[f64],
+    ) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
+        let motion = self.motion;
+        let (window, n) = (step.window, step.simulated.len());
+        let (sa, sd) = (1.0 / motion.restoring_noise_m_s2, 1.0 / motion.laser_noise_m);
+        let common = &job.values[job.values.len() - COMMON..];
+        let column = |a: &dyn Fn(usize) -> f64, d: &dyn Fn(usize) -> f64| -> Vec<f64> {
+            (0..n).map(|i| sa * a(i)).chain((0..n).map(|i| sd * d(i))).collect()
+        };
+        let counts = |i: usize| self.counts[window.range.start + i];
+        let changed = |simulated: &Simulated, h: f64| {
+            let small = |i: usize| {
+                let change = step.simulated[i].0 - simulated[i].0;
+                if counts(i) && change.abs() * sa < OVER { change / h } else { 0.0 }
+            };
+            column(&small, &|i| (step.simulated[i].1 - simulated[i].1) / h)
+        };
+        let mut along = Vec::with_capacity(moved.len() + COMMON);
+        for m in moved.iter_mut() {
+            let simulated = self.simulate(&mut m.specimens, window, common[0], own);
+            along.push(changed(&simulated, m.h));
+        }
+        if job.moving {
+            let rate = motion.sample_rate_hz;
+            along.push(column(&|_| 0.0, &|_| 1.0));
+            let drive = |i: usize| if counts(i) { -motion.drive_m_s2[window.range.start + i] } else { 0.0 };
+            along.push(column(&drive, &|_| 0.0));
+            let of_a = |i: usize| if counts(i) { -step.simulated[i].0 } else { 0.0 };
+            let late = |i: usize| if counts(i) { rate * slopes(&step.simulated, i).0 } else { 0.0 };
+            along.push(column(&late, &|i| rate * slopes(&step.simulated, i).1));
+            along.push(column(&|_| 0.0, &|i| -step.simulated[i].1));
+            along.push(column(&of_a, &|_| 0.0));
+        }
+        let mut beside = Vec::with_capacity(own.len());
+        let mut specimens = job.own.borrow_mut();
+        for (j, sigma) in self.sigmas(window).into_iter().enumerate().take(SIMULATED) {
+            let h = 0.3 * sigma.max(1e-12);
+            let mut start = own.to_vec();
+            start[j] += h;
+            let simulated = self.simulate(&mut specimens, window, common[0], &start);
+            beside.push(changed(&simulated, h));
+        }
+        beside.push(column(&|i| if counts(i) { -1.0 } else { 0.0 }, &|_| 0.0));
+        let knots = own.len() - STARTING;
+        for knot in 0..knots {
+            let share = |i: usize| match self.beside(window, i, knots) {
+                (left, share) if left == knot => 1.0 - share,
+                (left, share) if left + 1 == knot => share,
+                _ => 0.0,
+            };
+            beside.push(column(&|_| 0.0, &|i| -share(i)));
+        }
+        let finite = |c: &Vec<f64>| c.iter().all(|x| x.is_finite());
+        along.iter_mut().chain(&mut beside).filter(|c| !finite(c)).for_each(|c| c.fill(0.0));
+        (along, beside)
+    }
+
+    /// Fits a model's numbers to the steps of training from where another fit ended.
+    pub fn fit(
+        &self,
+        start: &ModelSpec,
+        numbers: &Numbers,
+        zero_m: f64,
+        from: Option<&Laid>,
+        settings: Settings,
+    ) -> Option<Laid> {
+        let free = self.free(numbers, zero_m);
+        let mut values: Vec<f64> = free.iter().map(|f| f.start.clamp(f.bounds.0, f.bounds.1)).collect();
+        let mut nuisances = self.still(Part::Training);
+        if let Some(from) = from {
+            let (to, of) = (values.len() - COMMON, from.values.len() - COMMON);
+            values[to..].copy_from_slice(&from.values[of..]);
+            nuisances.clone_from(&from.nuisances);
+        }
+        self.descend(
+            Fitted { spec: start.clone(), numbers, free: &free, moving: true },
+            Part::Training,
+            values,
+            nuisances,
+            settings,
+        )
+    }
+
+    /// Lays a fitted model against the held-out steps: only what belongs to each step is estimated.
+    pub fn judge(&self, spec: &ModelSpec, numbers: &Numbers, laid: &Laid) -> Option<Laid> {
+        let free = self.free(numbers, 0.0);
+        let settings = Settings { iterations: 4, tolerance: 1e-5, ..Settings::default() };
+        let still = self.still(Part::HeldOut);
+        let fitted = Fitted { spec: spec.clone(), numbers, free: &free, moving: false };
+        self.descend(fitted, Part::HeldOut, laid.values.clone(), still, settings)
+    }
+
+    fn descend(
+        &self,
+        mut fitted: Fitted<'_>,
+        part: Part,
+        mut values: Vec<f64>,
+        mut nuisances: Vec<Nuisances>,
+        settings: Settings,
+    ) -> Option<Laid> {
+        let free = fitted.free;
+        let prior = |x: &[f64]| least_squares::prior_sum(free, x);
+        fitted.numbers.put(&values, &mut fitted.spec).then_some(())?;
+        let (mut cost, mut steps) = self.lay(&fitted.spec, part, &values, &nuisances)?;
+        let mut damping = 1e-4;
+        let mut system = self.linearise(&fitted, &values, &nuisances, &steps, |_, _, _| ())?;
+        let mut accepted = 0;
+        while accepted < settings.iterations {
+            let Some((moved, own)) = system.step(free, &values, &nuisances, damping) else { break };
+            let mut spec = fitted.spec.clone();
+            let laid =
+                fitted.numbers.put(&moved, &mut spec).then(|| self.lay(&spec, part, &moved, &own)).flatten();
+            let before = cost + prior(&values);
+            match laid {
+                Some((to, there)) if to + prior(&moved) < before => {
+                    accepted += 1;
+                    let fall = before - to - prior(&moved);
+                    (cost, steps, values, nuisances, fitted.spec) = (to, there, moved, own, spec);
+                    damping = (damping * 0.1).max(1e-9);
+                    system = self.linearise(&fitted, &values, &nuisances, &steps, |_, _, _| ())?;
+                    if fall < SETTLED {
+                        break;
+                    }
+                }
+                _ => {
+                    damping *= 10.0;
+                    if damping > 1e5 {
+                        break;
+                    }
+                }
+            }
+        }
+        let count = steps.iter().map(|s| self.count(s.window)).sum();
+        let prior = if fitted.moving { prior(&values) } else { 0.0 };
+        Some(Laid { prior, values, nuisances, cost, count, information: system.normal })
+    }
+
+    pub(super) fn linearise(
+        &self,
+        fitted: &Fitted<'_>,
+        values: &[f64],
+        nuisances: &[Nuisances],
+        steps: &[Step<'_>],
+        mut keep: impl FnMut(Vec<Vec<f64>>, Vec<Vec<f64>>, f64),
+    ) -> Option<System> {
+        let mut moved = Vec::new();
+        let own_numbers = values.len() - COMMON;
+        for j in 0..if fitted.moving { own_numbers } else { 0 } {
+            let (free, mut at) = (&fitted.free[j], values.to_vec());
+            let mut h = 1e-3 * free.scale;
+            if at[j] + h > free.bounds.1 {
+                h = -h;
+            }
+            at[j] += h;
+            let mut spec = fitted.spec.clone();
+            // A number that cannot be moved has no slope.
+            let specimens = fitted.numbers.put(&at, &mut spec).then(|| self.specimens(&spec)).flatten();
+            moved.push(match specimens {
+                Some(specimens) => Moved { specimens, h },
+                None => Moved { specimens: self.specimens(&fitted.spec)?, h },
+            });
+        }
+        let job = Job { values, moving: fitted.moving, own: self.specimens(&fitted.spec)?.into() };
+        let size = if fitted.moving { values.len() } else { 0 };
+        let mut system =
+            System { normal: DMatrix::zeros(size, size), gradient: DVector::zeros(size), own: Vec::new() };
+        for (step, own) in steps.iter().zip(nuisances) {
+            let (along, beside) = self.columns(&job, &mut moved, step, own);
+            let precision = self.precision(step.window);
+            let now = DVector::from_column_slice(own);
+            let chi2 = dot(&step.residuals, &step.residuals) + (now.transpose() * &precision * &now)[(0, 0)];
+            let weight = robust(chi2, self.count(step.window)).1;
+            let gram = |a: &[Vec<f64>], b: &[Vec<f64>]| {
+                DMatrix::from_fn(a.len(), b.len(), |i, j| weight * dot(&a[i], &b[j]))
+            };
+            let slope =
+                |a: &[Vec<f64>]| DVector::from_fn(a.len(), |i, _| weight * dot(&a[i], &step.residuals));
+            let inner = gram(&beside, &beside) + weight * &precision;
+            let inverse = inner.cholesky()?.inverse();
+            let pull = slope(&beside) + weight * &precision * &now;
+            let mixed = gram(&along, &beside);
+            let reduced = &mixed * &inverse;
+            system.normal += gram(&along, &along) - &reduced * mixed.transpose();
+            system.gradient += slope(&along) - &reduced * &pull;
+            system.own.push(Eliminated { mixed, inverse, pull });
+            keep(along, beside, weight);
+        }
+        Some(system)
+    }
+
+    /// The fit as the rest of the diagnosis knows fits: the model's numbers and the zero, leak and lag eliminated.
+    pub fn refit(&self, start: &ModelSpec, numbers: &Numbers, laid: &Laid, colour: f64) -> Refit {
+        let free = self.free(numbers, 0.0);
+        let kept = laid.values.len() - COMMON + 1;
+        let all = &laid.information / colour
+            + DMatrix::from_diagonal(&DVector::from_iterator(
+                free.len(),
+                free.iter().map(|f| if f.prior.1.is_finite() { f.prior.1.powi(-2) } else { 0.0 }),
+            ));
+        let scale: Vec<f64> = (0..free.len()).map(|j| 1.0 / all[(j, j)].max(1e-300).sqrt()).collect();
+        let scaled = DMatrix::from_fn(free.len(), free.len(), |i, j| all[(i, j)] * scale[i] * scale[j]);
+        let covariance =
+            scaled.clone().cholesky().map(|c| c.inverse()).or_else(|| scaled.pseudo_inverse(1e-12).ok());
+        let sigmas = (0..kept)
+            .map(|j| covariance.as_ref().map_or(free[j].scale, |c| c[(j, j)].max(0.0).sqrt() * scale[j]));
+        let sigmas: Vec<f64> = sigmas.collect();
+        // Leak and lag with their priors eliminated from the information.
+        let (rest, mixed) =
+            (free.len() - kept, laid.information.view((0, kept), (kept, free.len() - kept)).into_owned());
+        let mut corner = laid.information.view((kept, kept), (rest, rest)).into_owned();
+        (0..rest).for_each(|j| corner[(j, j)] += free[kept + j].prior.1.powi(-2));
+        let outer = laid.information.view((0, 0), (kept, kept)).into_owned();
+        let information = match corner.try_inverse() {
+            Some(inverse) => outer - &mixed * inverse * mixed.transpose(),
+            None => outer,
+        };
+        let mut spec = start.clone();
+        numbers.put(&laid.values, &mut spec);
+        Refit {
+            spec,
+            numbers: numbers.clone(),
+            zero_m: laid.values[kept - 1],
+            fit: least_squares::Fit {
+                values: laid.values[..kept].to_vec(),
+                residual_sum: laid.cost,
+                prior_sum: laid.prior,
+                count: laid.count,
+                information,
+                iterations: 0,
+            },
+            inflation: colour,
+            sigmas,
+        }
+    }
+}
+
+/// A fit that goes on.
+pub(super) struct Fitted<'b> {
+    pub(super) spec: ModelSpec,
+    pub(super) numbers: &'b Numbers,
+    pub(super) free: &'b [Free],
+    /// The numbers of the model move, not the nuisances of the steps alone.
+    pub(super) moving: bool,
+}
+
+struct Job<'b> {
+    values: &'b [f64],
+    moving: bool,
+    own: RefCell<Specimens>,
+}
+
+struct Moved {
+    specimens: Specimens,
+    h: f64,
+}
+
+/// Normal equations with the nuisances of each step eliminated, and what is needed to find those again.
+pub(super) struct System {
+    pub(super) normal: DMatrix<f64>,
+    pub(super) gradient: DVector<f64>,
+    pub(super) own: Vec<Eliminated>,
+}
+
+pub(super) struct Eliminated {
+    pub(super) mixed: DMatrix<f64>,
+    pub(super) inverse: DMatrix<f64>,
+    pub(super) pull: DVector<f64>,
+}
+
+impl System {
+    /// Values and nuisances after a damped step.
+    fn step(
+        &self,
+        free: &[Free],
+        values: &[f64],
+        nuisances: &[Nuisances],
+        damping: f64,
+    ) -> Option<(Vec<f64>, Vec<Nuisances>)> {
+        let n = self.gradient.len();
+        let mut moved = values.to_vec();
+        if n > 0 {
+            let s: Vec<f64> = free.iter().map(|f| f.scale).collect();
+            let mut matrix = DMatrix::from_fn(n, n, |i, j| self.normal[(i, j)] * s[i] * s[j]);
+            let mut right = DVector::from_fn(n, |j, _| -self.gradient[j] * s[j]);
+            for j in 0..n {
+                let (mean, sigma) = free[j].prior;
+                if sigma.is_finite() {
+                    matrix[(j, j)] += (s[j] / sigma).powi(2);
+                    right[j] -= s[j] * (values[j] - mean) / sigma.powi(2);
+                }
+            }
+            let floor = (0..n).map(|j| matrix[(j, j)]).fold(0.0, f64::max) * 1e-15;
+            (0..n).for_each(|j| matrix[(j, j)] = matrix[(j, j)] * (1.0 + damping) + floor.max(1e-300));
+            let solution = matrix.cholesky()?.solve(&right);
+            for j in 0..n {
+                moved[j] = (values[j] + solution[j] * s[j]).clamp(free[j].bounds.0, free[j].bounds.1);
+            }
+        }
+        let change = DVector::from_fn(n, |j, _| moved[j] - values[j]);
+        let own = nuisances.iter().zip(&self.own).map(|(own, eliminated)| {
+            let pull = if n > 0 {
+                &eliminated.pull + eliminated.mixed.transpose() * &change
+            } else {
+                eliminated.pull.clone()
+            };
+            let step = &eliminated.inverse * pull;
+            own.iter().zip(step.iter()).map(|(x, s)| x - s).collect()
+        });
+        Some((moved, own.collect()))
+    }
+}

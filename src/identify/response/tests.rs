@@ -1,0 +1,100 @@
+use super::*;
+use crate::diagnose::candidates;
+use crate::diagnose::testing::seen;
+use crate::identify::kinematics::Tolerances;
+use crate::identify::least_squares::Settings;
+use crate::model::effects;
+use crate::model::testing::{b1_g2, effect};
+
+/// The paper's specimen with numbers that are off by what a model file allows.
+fn off() -> ModelSpec {
+    let mut truth = b1_g2();
+    truth.isolator.stiffness_n_m[0] *= 1.06;
+    truth.isolator.breakpoints_m[0] *= 0.97;
+    truth.isolator.damping_n_s_m *= 0.93;
+    if let Some(bumper) = &mut truth.bumper {
+        bumper.stiffness_n_m *= 1.08;
+        bumper.total_gap_m *= 1.015;
+    }
+    truth
+}
+
+fn fitted(measured: &Measured<'_>) -> (ModelSpec, Numbers, Laid) {
+    let numbers = Numbers::of_base(&b1_g2());
+    let settings = Settings { iterations: 30, ..Settings::default() };
+    let laid = measured.fit(&b1_g2(), &numbers, 0.0, None, settings).expect("fits");
+    let mut spec = b1_g2();
+    assert!(numbers.put(&laid.values, &mut spec));
+    (spec, numbers, laid)
+}
+
+/// What the best start of every effect brings to first order, best first.
+fn scores(measured: &Measured<'_>, motion: &Motion) -> Vec<(&'static str, f64)> {
+    let (spec, numbers, laid) = fitted(measured);
+    let tangent = measured.tangent(&spec, &numbers, &laid).expect("linearises");
+    let scales = candidates::scales(&spec, motion);
+    let best = |e: &&'static effects::Effect| {
+        let nats = |start| {
+            let mut with = spec.clone();
+            with.effects.push(start);
+            tangent.score(&with).map(|score| score.nats)
+        };
+        (e.name, candidates::starts(e, &scales).into_iter().filter_map(nats).fold(0.0, f64::max))
+    };
+    let mut all: Vec<_> = candidates::physical(&spec, motion.kind).iter().map(best).collect();
+    all.sort_by(|a, b| b.1.total_cmp(&a.1));
+    all
+}
+
+#[test]
+fn numbers_that_are_off_are_found_within_their_intervals_and_noise_is_left() {
+    let truth = off();
+    let motion = Motion::of(&seen(&truth, 11), 500.0, Tolerances::default()).expect("a motion");
+    let measured = Measured::new(&motion).expect("a base record");
+    let (spec, numbers, laid) = fitted(&measured);
+    let left = measured.left(&spec, Part::Training, &laid).expect("finite");
+    assert!(left.median < 1.1 && left.excess < 0.01 && left.colour < 1.5, "{left:?}");
+    let refit = measured.refit(&spec, &numbers, &laid, left.colour);
+    for (j, number) in numbers.numbers.iter().enumerate() {
+        let (found, meant) = (laid.values[j], truth.get(&number.key).expect("there"));
+        assert!(
+            (found - meant).abs() < 4.0 * refit.sigmas[j],
+            "{}: {found} {meant} {}",
+            number.key,
+            refit.sigmas[j]
+        );
+    }
+    // The record tells them, not the priors.
+    assert!(refit.sigmas[0] < 0.01 * numbers.free[0].prior.1, "{:?}", refit.sigmas);
+    let held_out = measured.judge(&spec, &numbers, &laid).expect("finite");
+    assert!(held_out.cost < 1.1 * held_out.count as f64, "{} of {}", held_out.cost, held_out.count);
+}
+
+#[test]
+fn to_first_order_nothing_is_missing_from_a_right_model_and_what_is_missing_comes_first() {
+    let sound = Motion::of(&seen(&off(), 12), 500.0, Tolerances::default()).expect("a motion");
+    let nothing = scores(&Measured::new(&sound).expect("a base record"), &sound);
+    assert!(nothing[0].1 < 15.0, "{nothing:?}");
+    let mut truth = off();
+    truth.effects.push(effect("maxwell-branch", &[("km_n_m", 800.0), ("tau_s", 0.1)]));
+    let motion = Motion::of(&seen(&truth, 13), 500.0, Tolerances::default()).expect("a motion");
+    let found = scores(&Measured::new(&motion).expect("a base record"), &motion);
+    assert!(found[0].0 == "maxwell-branch" && found[0].1 > 40.0, "{found:?}");
+}
+
+#[test]
+fn a_step_far_off_counts_by_its_logarithm_without_a_corner() {
+    let (below, above) = (robust(1.5e3 - 1e-3, 1000), robust(1.5e3 + 1e-3, 1000));
+    assert!((below.0 - above.0).abs() < 0.01 && (below.1 - above.1).abs() < 1e-4);
+    let (far, slope) = robust(1e6, 1000);
+    assert!(far < 12e3 && (slope - 1.5e-3).abs() < 1e-12, "{far} {slope}");
+}
+
+#[test]
+fn samples_beside_a_jump_do_not_count() {
+    let mut acceleration = vec![0.0; 100];
+    acceleration[50..].fill(0.2);
+    let counts = beside_jumps(&acceleration, 0.007);
+    let out: Vec<usize> = (0..100).filter(|n| !counts[*n]).collect();
+    assert_eq!(out, (47..=52).collect::<Vec<_>>());
+}
