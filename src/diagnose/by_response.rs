@@ -27,6 +27,7 @@ const MERGED: f64 = 20.0;
 /// Change of the response, in units of the noise, that is faint enough for first order; attempts to make a start as faint.
 const FAINT: f64 = 0.3;
 const FAINTER: usize = 3;
+
 impl Searcher<'_> {
     /// An effect that contains the one before it (Stribeck's friction and Coulomb's) may do alone.
     pub(super) fn merge(&self, stage: &mut Stage, base: &Trial) {
@@ -97,13 +98,7 @@ impl Searcher<'_> {
             });
             first = scored.into_iter().flatten().collect();
             first.sort_by(|a, b| b.0.total_cmp(&a.0));
-            let mut seen: Vec<String> = Vec::new();
-            first.retain(|(_, spec)| {
-                let name = spec.effects.last().map(|e| e.name.clone()).unwrap_or_default();
-                let new = !seen.contains(&name);
-                seen.push(name);
-                new
-            });
+            first_of_each(&mut first, |(_, spec)| spec);
         }
         // To first order is near enough where little is left; otherwise the force has a say.
         let best = first.first().map_or(0.0, |(nats, _)| *nats);
@@ -142,13 +137,7 @@ impl Searcher<'_> {
                 .collect();
         let cost = |laid: &Laid| laid.cost + laid.prior;
         tried.sort_by(|a, b| cost(&a.2).total_cmp(&cost(&b.2)));
-        let mut seen: Vec<String> = Vec::new();
-        tried.retain(|(spec, _, _)| {
-            let name = spec.effects.last().map(|e| e.name.clone()).unwrap_or_default();
-            let new = !seen.contains(&name);
-            seen.push(name);
-            new
-        });
+        first_of_each(&mut tried, |(spec, _, _)| spec);
         tried.truncate(REFINED);
         // What is far behind is not refined.
         let near = tried.first().map_or(0.0, |best| cost(&best.2) + 2.0 * CLOSE);
@@ -164,4 +153,15 @@ impl Searcher<'_> {
         best_first(&mut finalists, from);
         finalists
     }
+}
+
+/// Keeps the first of each effect that was added last.
+fn first_of_each<T>(sorted: &mut Vec<T>, spec: impl Fn(&T) -> &ModelSpec) {
+    let mut seen: Vec<String> = Vec::new();
+    sorted.retain(|item| {
+        let name = spec(item).effects.last().map(|e| e.name.clone()).unwrap_or_default();
+        let new = !seen.contains(&name);
+        seen.push(name);
+        new
+    });
 }

@@ -57,9 +57,9 @@ pub const WIDE: f64 = 16.0;
 /// As [`WIDE`], for a fitted model.
 pub const NARROW: f64 = 4.0;
 /// Slow noise of a displacement sensor over the motion it measures: 10 um for the paper's rig.
-const DRIFT: f64 = 1e-3;
+pub(super) const DRIFT: f64 = 1e-3;
 /// Correlation of that drift from one cycle to the next.
-const DRIFT_MEMORY: f64 = 0.8;
+pub(super) const DRIFT_MEMORY: f64 = 0.8;
 /// Cycles that a simulation runs free before it counts: the error of its start decays.
 const SETTLING_CYCLES: usize = 3;
 /// Cycles of a window that count in fits of the simulated response.

@@ -108,7 +108,7 @@ impl<'a> Measured<'a> {
     /// Lays a fitted model against the held-out steps: only what belongs to each step is estimated.
     pub fn judge(&self, spec: &ModelSpec, numbers: &Numbers, laid: &Laid) -> Option<Laid> {
         let free = self.free(numbers, 0.0);
-        let settings = Settings { iterations: 4, tolerance: 1e-5, ..Settings::default() };
+        let settings = Settings { iterations: 4, ..Settings::default() };
         let still = self.still(Part::HeldOut);
         let fitted = Fitted { spec: spec.clone(), numbers, free: &free, moving: false };
         self.descend(fitted, Part::HeldOut, laid.values.clone(), still, settings)
@@ -212,23 +212,21 @@ impl<'a> Measured<'a> {
         Some(system)
     }
 
-    /// The fit as the rest of the diagnosis knows fits: the model's numbers and the zero, leak and lag eliminated.
+    /// The fit as the rest of the diagnosis knows fits: the model's numbers and the zero, everything else eliminated.
     pub fn refit(&self, start: &ModelSpec, numbers: &Numbers, laid: &Laid, colour: f64) -> Refit {
         let free = self.free(numbers, 0.0);
         let kept = laid.values.len() - COMMON + 1;
-        let all = &laid.information / colour
-            + DMatrix::from_diagonal(&DVector::from_iterator(
-                free.len(),
-                free.iter().map(|f| if f.prior.1.is_finite() { f.prior.1.powi(-2) } else { 0.0 }),
-            ));
-        let scale: Vec<f64> = (0..free.len()).map(|j| 1.0 / all[(j, j)].max(1e-300).sqrt()).collect();
-        let scaled = DMatrix::from_fn(free.len(), free.len(), |i, j| all[(i, j)] * scale[i] * scale[j]);
-        let covariance =
-            scaled.clone().cholesky().map(|c| c.inverse()).or_else(|| scaled.pseudo_inverse(1e-12).ok());
-        let sigmas = (0..kept)
-            .map(|j| covariance.as_ref().map_or(free[j].scale, |c| c[(j, j)].max(0.0).sqrt() * scale[j]));
-        let sigmas: Vec<f64> = sigmas.collect();
-        // Leak and lag with their priors eliminated from the information.
+        let fit = |values: &[f64], information: DMatrix<f64>| least_squares::Fit {
+            values: values.to_vec(),
+            residual_sum: laid.cost,
+            prior_sum: laid.prior,
+            count: laid.count,
+            information,
+            iterations: 0,
+        };
+        let covariance = fit(&laid.values, laid.information.clone()).covariance(&free, colour);
+        let sigmas = (0..kept).map(|j| covariance[(j, j)].max(0.0).sqrt()).collect();
+        // What is common to all steps but the zero, with its priors, eliminated from the information.
         let (rest, mixed) =
             (free.len() - kept, laid.information.view((0, kept), (kept, free.len() - kept)).into_owned());
         let mut corner = laid.information.view((kept, kept), (rest, rest)).into_owned();
@@ -244,14 +242,7 @@ impl<'a> Measured<'a> {
             spec,
             numbers: numbers.clone(),
             zero_m: laid.values[kept - 1],
-            fit: least_squares::Fit {
-                values: laid.values[..kept].to_vec(),
-                residual_sum: laid.cost,
-                prior_sum: laid.prior,
-                count: laid.count,
-                information,
-                iterations: 0,
-            },
+            fit: fit(&laid.values[..kept], information),
             inflation: colour,
             sigmas,
         }

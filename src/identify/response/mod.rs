@@ -15,7 +15,7 @@ pub use tangent::{Score, Tangent};
 use super::least_squares::{Free, dot};
 use super::motion::{Motion, Window};
 use super::numbers::Numbers;
-use super::problem::Part;
+use super::problem::{DRIFT, DRIFT_MEMORY, Part};
 use super::refit::{with_zero, zero_sigma_m};
 use super::together::Source;
 use crate::model::{self, ModelSpec, Specimen};
@@ -50,9 +50,6 @@ const AROUND: usize = 2;
 const OVER: f64 = 1.0;
 /// Motion that a power law has to remember before the cycles that come before a step, s.
 const LONG_MEMORY_S: f64 = 6.0;
-/// Correlation of the drift from one cycle to the next, its size over the motion.
-const DRIFT_MEMORY: f64 = 0.8;
-const DRIFT: f64 = 1e-3;
 
 /// The measured response.
 #[derive(Clone)]
@@ -71,13 +68,13 @@ pub struct Measured<'a> {
 }
 
 /// What is estimated in one step beside the model's numbers: start displacement, start velocity (against the measured
-/// ones), zero of A, then the knots of the drift.
+/// ones), amplitude (relative) and time (s) of what drives it, zero of A, then the knots of the drift.
 pub type Nuisances = Vec<f64>;
 
 /// A model laid against the steps of a part.
 #[derive(Clone, Debug)]
 pub struct Laid {
-    /// Model's numbers, zero (m), leak, lag (s).
+    /// Model's numbers, zero (m), leak, lag (s), gains of the displacement sensor and of the accelerometers less 1.
     pub values: Vec<f64>,
     nuisances: Vec<Nuisances>,
     /// Twice the negative logarithm of the likelihood but for a constant: squares in units of the noise, in steps far from
