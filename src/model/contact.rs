@@ -111,12 +111,26 @@ impl ContactLaw {
         }
         let parts = [self.hertz, self.cubic_n_m3, self.hunt_crossley_n_s_m2, self.preload_n];
         let x = match parts.map(|part| part != 0.0) {
-            [true, false, false, false] if self.linear_n_m == 0.0 => self.relaxed_power_m(tip, after_s),
-            [false, true, false, false] if self.linear_n_m > 0.0 => self.relaxed_cubic_m(tip, after_s),
-            [false, false, true, false] if self.damping_n_s_m > 0.0 => self.relaxed_viscous_m(tip, after_s),
-            _ => self.relaxed_by_steps_m(tip, after_s),
+            _ if !self.relaxes_in_closed_form() => self.relaxed_by_steps_m(tip, after_s),
+            [true, ..] => self.relaxed_power_m(tip, after_s),
+            [_, true, ..] => self.relaxed_cubic_m(tip, after_s),
+            _ => self.relaxed_viscous_m(tip, after_s),
         };
         if x <= self.smallest_m(tip) { 0.0 } else { x }
+    }
+
+    /// Whether a free tip relaxes by a closed form.
+    pub fn relaxes_in_closed_form(&self) -> bool {
+        if self.is_linear() {
+            return true;
+        }
+        let parts = [self.hertz, self.cubic_n_m3, self.hunt_crossley_n_s_m2, self.preload_n];
+        match parts.map(|part| part != 0.0) {
+            [true, false, false, false] => self.linear_n_m == 0.0,
+            [false, true, false, false] => self.linear_n_m > 0.0,
+            [false, false, true, false] => self.damping_n_s_m > 0.0,
+            _ => false,
+        }
     }
 
     /// What a tip is taken to be back at, m.

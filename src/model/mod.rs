@@ -81,6 +81,13 @@ pub trait Specimen: Send {
     /// to the one given (first-order hold, m/s2), and returns the state at the end.
     fn step(&mut self, table_acceleration_m_s2: f64) -> Response;
 
+    /// Advances over samples of a table acceleration (m/s2) that is smooth, as a table in steady motion has it: handed to
+    /// `visit` is the response at each. Solvers that gain by it take steps over many samples, through which the acceleration
+    /// runs along cubics; others step from sample to sample.
+    fn run(&mut self, table_acceleration_m_s2: &[f64], visit: &mut dyn FnMut(&Response)) {
+        table_acceleration_m_s2.iter().for_each(|table| visit(&self.step(*table)));
+    }
+
     /// Moves the mass along an imposed motion by one sample interval (relative displacement m and
     /// velocity m/s at its end): hidden states (bumper tips, hysteresis, friction) follow. The
     /// response holds the imposed motion and, as `mass_acceleration_m_s2`, minus the restoring

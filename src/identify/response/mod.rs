@@ -230,11 +230,12 @@ impl<'a> Measured<'a> {
             motion.drive_m_s2[n] * (1.0 + start[2]) + slope * start[3]
         };
         specimen.prime(drive(last));
-        let step = |n: usize| {
-            let response = specimen.step(drive(n));
-            (response.mass_acceleration_m_s2, response.relative_displacement_m)
-        };
-        window.range.clone().map(step).collect()
+        let table: Vec<f64> = window.range.clone().map(drive).collect();
+        let mut simulated = Simulated::with_capacity(table.len());
+        specimen.run(&table, &mut |response| {
+            simulated.push((response.mass_acceleration_m_s2, response.relative_displacement_m));
+        });
+        simulated
     }
 
     /// Weights of the two knots beside a sample, and the left one's number.

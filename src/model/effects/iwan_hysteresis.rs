@@ -73,6 +73,8 @@ struct Iwan {
     high: f64,
     /// Density of stiffness is `density * y^exponent`.
     density: f64,
+    /// `low^(exponent + 2)` and `high^(exponent + 1)`.
+    ends: [f64; 2],
     /// Reversals, outermost first: each lies within the two before it.
     turns: [(f64, f64); DEPTH],
     count: usize,
@@ -84,15 +86,18 @@ impl Iwan {
     fn new(kp: f64, exponent: f64, low: f64, high: f64) -> Self {
         let m = exponent + 1.0;
         let density = kp * m / (high.powf(m) - low.powf(m));
-        Self { exponent, low, high, density, turns: [(0.0, 0.0); DEPTH], count: 0, last: 0.0, direction: 0.0 }
+        let ends = [low.powf(m + 1.0), high.powf(m)];
+        let turns = [(0.0, 0.0); DEPTH];
+        Self { exponent, low, high, density, ends, turns, count: 0, last: 0.0, direction: 0.0 }
     }
 
     /// Force after a monotonic deformation `x >= 0` from the virgin state: sum of min(x, y).
     fn virgin(&self, x: f64) -> f64 {
         let (m, c) = (self.exponent + 1.0, self.density);
         let split = x.clamp(self.low, self.high);
-        let slipping = (split.powf(m + 1.0) - self.low.powf(m + 1.0)) / (m + 1.0);
-        let holding = x * (self.high.powf(m) - split.powf(m)) / m;
+        let power = split.powf(m);
+        let slipping = (power * split - self.ends[0]) / (m + 1.0);
+        let holding = x * (self.ends[1] - power) / m;
         c * (slipping + holding)
     }
 

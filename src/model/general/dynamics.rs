@@ -25,6 +25,34 @@ impl Drive for Line {
     }
 }
 
+/// A smooth course through samples: cubics with the slopes of central differences (E. Catmull and R. Rom, in: Computer Aided
+/// Geometric Design, 1974, 317).
+#[derive(Clone, Copy, Debug)]
+pub struct Course<'a> {
+    /// At the beginning, m/s2.
+    pub start: f64,
+    /// One sample period later and so on, m/s2.
+    pub samples: &'a [f64],
+    /// 1/s.
+    pub rate_hz: f64,
+}
+
+impl Drive for Course<'_> {
+    fn at(&self, time_s: f64) -> f64 {
+        let last = self.samples.len();
+        let value = |i: usize| if i == 0 { self.start } else { self.samples[i.min(last) - 1] };
+        let x = time_s * self.rate_hz;
+        let i = (x.max(0.0) as usize).min(last.max(1) - 1);
+        let (part, from, to) = (x - i as f64, value(i), value(i + 1));
+        // At the ends the slope is that of the line.
+        let before = if i == 0 { 2.0 * from - to } else { value(i - 1) };
+        let after = if i + 1 >= last { 2.0 * to - from } else { value(i + 2) };
+        let (rise, out) = (0.5 * (to - before), 0.5 * (after - from));
+        let way = to - from;
+        from + part * (rise + part * (3.0 * way - 2.0 * rise - out + part * (rise + out - 2.0 * way)))
+    }
+}
+
 /// One step of an ideal sweep, from phase 0.
 #[derive(Clone, Copy, Debug)]
 pub struct Sine {

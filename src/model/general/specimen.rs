@@ -2,7 +2,7 @@
 
 use super::super::system::System;
 use super::super::{Options, Response, Specimen};
-use super::dynamics::{Drive, Forces, Joint, Layout, Line, Mode, Motion, Sine, Sliding, Tip};
+use super::dynamics::{Course, Drive, Forces, Joint, Layout, Line, Mode, Motion, Sine, Sliding, Tip};
 use super::events::{GUARDS, Guards, first_failure, guard};
 use super::runge_kutta::Step;
 use super::{StretchVisit, Sweepable};
@@ -436,6 +436,28 @@ impl<const N: usize> Specimen for General<N> {
         self.response(&forces)
     }
 
+    fn run(&mut self, table_acceleration_m_s2: &[f64], visit: &mut dyn FnMut(&Response)) {
+        let Some((first, last)) = table_acceleration_m_s2.first().zip(table_acceleration_m_s2.last()) else {
+            return;
+        };
+        // A tip that relaxes by small steps has to be stated anew after each sample.
+        if !self.system.bumper.relaxes_in_closed_form() {
+            table_acceleration_m_s2.iter().for_each(|table| visit(&self.step(*table)));
+            return;
+        }
+        let drive = Course {
+            start: self.table.unwrap_or(*first),
+            samples: table_acceleration_m_s2,
+            rate_hz: 1.0 / self.system.sample_period_s,
+        };
+        if self.system.is_plain() {
+            self.run_of::<true>(drive, visit);
+        } else {
+            self.run_of::<false>(drive, visit);
+        }
+        self.table = Some(*last);
+    }
+
     fn impose(&mut self, relative_displacement_m: f64, relative_velocity_m_s: f64) -> Response {
         let dt = self.system.sample_period_s;
         let (d0, v0, d1, v1) = (self.y[0], self.y[1], relative_displacement_m, relative_velocity_m_s);
@@ -472,6 +494,30 @@ impl<const N: usize> Specimen for General<N> {
 }
 
 impl<const N: usize> General<N> {
+    /// [`Specimen::run`] of a system that is `PLAIN` or not.
+    fn run_of<const PLAIN: bool>(&mut self, drive: Course<'_>, visit: &mut dyn FnMut(&Response)) {
+        let dt = self.system.sample_period_s;
+        let (count, mut next) = (drive.samples.len(), 0);
+        let duration = count as f64 * dt;
+        self.advance(duration, drive, Motion::Free, &mut |solver, begin, end, step| {
+            let (mode, layout) = (&solver.mode, &solver.layout);
+            // Rounding must not lose the last sample.
+            while next < count && ((next + 1) as f64 * dt <= end || end == duration) {
+                let time = ((next + 1) as f64 * dt).min(end);
+                let part = if end > begin { (time - begin) / (end - begin) } else { 1.0 };
+                let (y, at) = (step.at(part), (solver.time_s + time, drive.samples[next]));
+                let forces = solver.system.rates_of::<N, PLAIN>(at, &y, mode, layout, None).1;
+                visit(&solver.response_of(&y, &forces));
+                next += 1;
+            }
+        });
+        // Where the motion ran away, or the last step ended a rounding before its time.
+        if next < count {
+            let forces = self.now(duration, drive, Motion::Free).forces;
+            (next..count).for_each(|_| visit(&self.response(&forces)));
+        }
+    }
+
     /// [`Sweepable::stretch`] of a system that is `PLAIN` or not.
     fn stretch_of<const PLAIN: bool>(&mut self, duration: f64, drive: Sine, visit: &mut StretchVisit<'_>) {
         self.advance(duration, drive, Motion::Free, &mut |solver, begin, end, step| {
