@@ -89,6 +89,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             over_floor.push(found.error_after / found.noise_floor);
         }
         if !right || verbose {
+            println!("\t\tspecimen: {:?}", case.truth.effects);
             for refused in found.refused.iter().take(6) {
                 println!("\t\t{}: {}", refused.name, refused.reason);
             }

@@ -205,7 +205,7 @@ pub(super) fn effect_number(effect: &str, parameter: &Parameter) -> Number {
             start,
             scale: reach,
             prior: (0.0, reach),
-            bounds: (-3.0 * reach, (3.0 * reach).min(parameter.at_most)),
+            bounds: ((-3.0 * reach).max(parameter.at_least), (3.0 * reach).min(parameter.at_most)),
         };
         (Kind::Value, free)
     };

@@ -2,7 +2,7 @@
 //! contains a simpler effect is tried without it. The search calls it wherever a base record drives a simulation.
 
 use super::candidates;
-use super::search::{CLOSE, Searcher, Stage, best_first};
+use super::search::{Searcher, Stage, best_first};
 use super::trial::{self, Trial};
 use super::verdict;
 use crate::identify::least_squares::Settings;
@@ -14,12 +14,16 @@ use crate::parallel;
 
 /// So many candidates that the response puts first are fitted by it.
 const SCORED: usize = 4;
+/// So many starts of an effect that has more than two numbers.
+const STARTS: usize = 2;
 /// So many of those are refined.
 const REFINED: usize = 3;
 /// Nats to first order below which a candidate is not fitted, the first alone to be refused by name; and the share of the first
 /// one's.
 const WORTH: f64 = 15.0;
 const SHARE: f64 = 0.05;
+/// The same for a further effect, which has to bring more.
+const FURTHER: f64 = 30.0;
 /// Median over the steps of the mean square over the noise above which a model is too far off for first order.
 pub(super) const FAR: f64 = 1.15;
 /// Nats that a simpler effect beside the one that contains it has to bring.
@@ -98,25 +102,27 @@ impl Searcher<'_> {
             });
             first = scored.into_iter().flatten().collect();
             first.sort_by(|a, b| b.0.total_cmp(&a.0));
-            first_of_each(&mut first, |(_, spec)| spec);
+            first_of_each(&mut first, STARTS, |(_, spec)| spec);
         }
         // To first order is near enough where little is left; otherwise the force has a say.
         let best = first.first().map_or(0.0, |(nats, _)| *nats);
-        if !from.names.is_empty() && best < WORTH {
+        if !from.names.is_empty() && best < FURTHER {
             return Vec::new();
         }
         let far = response.left[0].median > FAR;
         let worth = (SHARE * best).max(if far { 0.0 } else { WORTH });
         let by_force = if far { by_force } else { &[] };
-        let mut starts: Vec<ModelSpec> = first.iter().take(1).map(|(_, spec)| spec.clone()).collect();
-        starts.extend(
-            first
-                .into_iter()
-                .skip(1)
-                .take(SCORED - 1)
-                .filter(|(nats, _)| *nats > worth)
-                .map(|(_, spec)| spec),
-        );
+        let mut effects: Vec<String> = Vec::new();
+        first.retain(|(nats, spec)| {
+            let name = spec.effects.last().map(|e| e.name.clone()).unwrap_or_default();
+            let goes_on =
+                effects.is_empty() || effects.contains(&name) || effects.len() < SCORED && *nats > worth;
+            if goes_on && !effects.contains(&name) {
+                effects.push(name);
+            }
+            goes_on
+        });
+        let mut starts: Vec<ModelSpec> = first.into_iter().map(|(_, spec)| spec).collect();
         starts.extend(by_force.iter().map(|(_, refit)| refit.spec.clone()));
         let short = Settings { iterations: 3, ..Settings::default() };
         let long = Settings { iterations: 10, ..Settings::default() };
@@ -137,13 +143,10 @@ impl Searcher<'_> {
                 .collect();
         let cost = |laid: &Laid| laid.cost + laid.prior;
         tried.sort_by(|a, b| cost(&a.2).total_cmp(&cost(&b.2)));
-        first_of_each(&mut tried, |(spec, _, _)| spec);
+        first_of_each(&mut tried, 1, |(spec, _, _)| spec);
         tried.truncate(REFINED);
-        // What is far behind is not refined.
-        let near = tried.first().map_or(0.0, |best| cost(&best.2) + 2.0 * CLOSE);
-        let fitted = parallel::map(&tried, parallel::cores(), |(spec, _, found)| {
-            let settings = if cost(found) < near { long } else { Settings { iterations: 1, ..long } };
-            let (spec, numbers, laid) = fit(measured, spec, Some(laid), settings)?;
+        let fitted = parallel::map(&tried, parallel::cores(), |(spec, _, _)| {
+            let (spec, numbers, laid) = fit(measured, spec, Some(laid), long)?;
             let mut names = from.names.clone();
             names.push(spec.effects.last()?.name.clone());
             let refit = Refit { spec, ..from.refit.clone() };
@@ -155,13 +158,13 @@ impl Searcher<'_> {
     }
 }
 
-/// Keeps the first of each effect that was added last.
-fn first_of_each<T>(sorted: &mut Vec<T>, spec: impl Fn(&T) -> &ModelSpec) {
+/// Keeps the first so many of each effect that was added last, of one with two numbers or less the first.
+fn first_of_each<T>(sorted: &mut Vec<T>, most: usize, spec: impl Fn(&T) -> &ModelSpec) {
     let mut seen: Vec<String> = Vec::new();
     sorted.retain(|item| {
-        let name = spec(item).effects.last().map(|e| e.name.clone()).unwrap_or_default();
-        let new = !seen.contains(&name);
-        seen.push(name);
-        new
+        let Some(last) = spec(item).effects.last() else { return false };
+        let before = seen.iter().filter(|name| **name == last.name).count();
+        seen.push(last.name.clone());
+        before < if last.parameters.len() > 2 { most } else { 1 }
     });
 }

@@ -93,6 +93,9 @@ pub fn fainter(start: &EffectSpec, factor: f64, scales: &Scales) -> Option<Effec
     Some(spec)
 }
 
+/// Starts spread over the prior ranges of an effect with three numbers or more.
+const SPREAD: i32 = 6;
+
 /// Starting values: shape parameters spread over their prior ranges, the leading (amplitude)
 /// parameter small, of either sign where it may be.
 pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
@@ -101,15 +104,24 @@ pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
     let quantile = |(low, high): (f64, f64), q: f64, logarithmic: bool| {
         if logarithmic && low > 0.0 { low * (high / low).powf(q) } else { low + (high - low) * q }
     };
-    let quantiles: &[f64] = if parameters.len() > 1 { &[0.5, 0.25, 0.75, 0.1] } else { &[0.5] };
     let mut out = vec![effect.starting_spec(scales)];
-    for q in quantiles {
+    // Along the diagonal of the prior ranges; where there are three numbers or more, spread over them by an additive recurrence
+    // with the roots of x^(n+1) = x + 1 (M. Roberts, The unreasonable effectiveness of quasirandom sequences, 2018).
+    let n = parameters.len();
+    let diagonal: &[f64] = if n > 1 { &[0.5, 0.25, 0.75, 0.1] } else { &[0.5] };
+    let mut points: Vec<Vec<f64>> = diagonal.iter().map(|q| vec![*q; n]).collect();
+    if n > 2 {
+        let root = (0..30).fold(2.0_f64, |x, _| (1.0 + x).powf(1.0 / n as f64));
+        let at = |k: i32, i: usize| (0.5 + f64::from(k) * root.powi(-(i as i32))).fract();
+        points.extend((1..=SPREAD).map(|k| (0..n).map(|i| at(k, i)).collect()));
+    }
+    for point in points {
         let mut spec = effect.starting_spec(scales);
-        for (i, parameter) in parameters.iter().enumerate() {
+        for ((i, parameter), q) in parameters.iter().enumerate().zip(point) {
             let value = match (i, parameter.sign) {
                 (0, Sign::Either) => 0.05 * parameter.prior.1,
                 (0, _) => quantile(parameter.prior, 0.3, parameter.log_scale),
-                _ => quantile(parameter.prior, *q, parameter.log_scale),
+                _ => quantile(parameter.prior, q, parameter.log_scale),
             };
             spec.parameters.insert(parameter.name.to_owned(), value);
         }

@@ -49,7 +49,7 @@ const PROMISING: f64 = 3.0;
 const UNSEEN: f64 = 0.9;
 /// So many finalists are simulated at most, those within so many nats of the best.
 const SIMULATED: usize = 3;
-pub(super) const CLOSE: f64 = 50.0;
+const CLOSE: f64 = 50.0;
 
 /// What a search found at one stage: the best so far plus one more effect.
 #[derive(Clone, Debug)]

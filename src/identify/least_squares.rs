@@ -102,9 +102,7 @@ pub fn fit(
     let mut used = 0;
     while used < settings.iterations {
         used += 1;
-        let Some(step) = damped_step(free, &x, &system, damping) else { break };
-        let trial: Vec<f64> =
-            (0..n).map(|j| (x[j] + step[j]).clamp(free[j].bounds.0, free[j].bounds.1)).collect();
+        let Some(trial) = damped_step(free, &x, &system.0, &system.1, damping) else { break };
         let sound = residuals(&trial, &mut shifted) && shifted.iter().all(|v| v.is_finite());
         let trial_cost =
             if sound { sum_of_squares(&shifted) + prior_sum(free, &trial) } else { f64::INFINITY };
@@ -178,10 +176,13 @@ fn linearise(
     (normal, gradient)
 }
 
-fn damped_step(
+/// Values after a damped step that stays within the bounds: what would leave them is held there, and the rest moves as is best
+/// with it there. `normal` and `gradient` are `J'J` and `J'r` of the residuals alone.
+pub fn damped_step(
     free: &[Free],
     x: &[f64],
-    (normal, gradient): &(DMatrix<f64>, DVector<f64>),
+    normal: &DMatrix<f64>,
+    gradient: &DVector<f64>,
     damping: f64,
 ) -> Option<Vec<f64>> {
     let n = free.len();
@@ -201,8 +202,27 @@ fn damped_step(
         let d = matrix[(j, j)];
         matrix[(j, j)] = d * (1.0 + damping) + floor.max(1e-300);
     }
-    let solution = matrix.cholesky()?.solve(&right);
-    Some((0..n).map(|j| solution[j] * s[j]).collect())
+    let mut held = vec![false; n];
+    let mut moved = x.to_vec();
+    loop {
+        let moves: Vec<usize> = (0..n).filter(|j| !held[*j]).collect();
+        let part = DMatrix::from_fn(moves.len(), moves.len(), |a, b| matrix[(moves[a], moves[b])]);
+        let beside = |i: usize| -> f64 {
+            (0..n).filter(|j| held[*j]).map(|j| matrix[(i, j)] * (moved[j] - x[j]) / s[j]).sum()
+        };
+        let rest = DVector::from_fn(moves.len(), |a, _| right[moves[a]] - beside(moves[a]));
+        let solution = part.cholesky()?.solve(&rest);
+        let mut left = false;
+        for (a, &j) in moves.iter().enumerate() {
+            let to = x[j] + solution[a] * s[j];
+            moved[j] = to.clamp(free[j].bounds.0, free[j].bounds.1);
+            held[j] = moved[j] != to;
+            left |= held[j];
+        }
+        if !left {
+            return Some(moved);
+        }
+    }
 }
 
 /// Squares of the priors: how far values lie from what was expected of them.
@@ -260,6 +280,20 @@ mod tests {
         assert!((fit.values[0] - 3.0).abs() < 1e-6 && (fit.values[1] - 0.4).abs() < 1e-6, "{fit:?}");
         let covariance = fit.covariance(&free, 1.0);
         assert!(covariance[(0, 0)] > 0.0 && covariance[(0, 0)] < 1e-3);
+    }
+
+    #[test]
+    fn what_meets_its_bound_does_not_hold_up_the_rest() {
+        // Two numbers that pull on one another: with the first at its bound the second has its best at 5, not at 1.
+        let mut numbers = [free("a", 0.0, 1.0), free("b", 0.0, 1.0)];
+        numbers[0].bounds = (-1.0, 1.0);
+        let fit = fit(&numbers, Settings::default(), |x, r| {
+            r.clear();
+            r.extend([x[0] + x[1] - 6.0, 0.01 * (x[0] - 5.0)]);
+            true
+        })
+        .expect("starts");
+        assert!((fit.values[0] - 1.0).abs() < 1e-12 && (fit.values[1] - 5.0).abs() < 1e-6, "{fit:?}");
     }
 
     #[test]

@@ -7,7 +7,7 @@
 //! frequency where their noises are equal (a Wiener filter, zero phase).
 
 use super::kinematics::{self, Instruments, Tolerances};
-use super::periodic::periodic;
+use super::periodic::{periodic, smooth, white_variance};
 use super::spectral::{Spectrum, white_noise_rms};
 use super::together::Source;
 use crate::record::{Kind, Record};
@@ -29,6 +29,8 @@ pub struct Window {
     pub held_out: bool,
     /// Number of the record that it comes from.
     pub source: usize,
+    /// Noise that is left in what drives a simulation, m/s2 rms a sample over the window.
+    pub drive_noise_m_s2: f64,
 }
 
 /// The motion of one record.
@@ -115,7 +117,7 @@ impl Motion {
         };
         motion.windows = cut(record, &motion);
         motion.remove_acceleration_zeros();
-        motion.remove_noise_of_the_table();
+        motion.remove_noise_of_the_table(&record.table_displacement_m);
         Ok(motion)
     }
 
@@ -146,16 +148,34 @@ impl Motion {
         (sum / count.max(1) as f64).sqrt()
     }
 
-    /// What drives a simulation has no noise where the table moves periodically.
-    fn remove_noise_of_the_table(&mut self) {
+    /// What drives a simulation has no noise where the table moves periodically. Elsewhere, and where impacts kick the table, slow
+    /// noise is taken out by its displacement.
+    fn remove_noise_of_the_table(&mut self, table_displacement_m: &[f64]) {
         if self.kind != Kind::Base {
             return;
         }
-        for window in &self.windows {
-            let stretch = &mut self.drive_m_s2[window.warm_from..window.range.end];
-            if let Some(smooth) = periodic(stretch, window.frequency_hz, self.sample_rate_hz) {
-                stretch.copy_from_slice(&smooth);
-            }
+        let rate = self.sample_rate_hz;
+        for window in &mut self.windows {
+            let range = window.warm_from..window.range.end;
+            let Some(found) = periodic(&self.drive_m_s2[range.clone()], window.frequency_hz, rate) else {
+                window.drive_noise_m_s2 = white_variance(&self.drive_m_s2[range]).sqrt();
+                continue;
+            };
+            let noisy =
+                if found.white { found.still.iter().filter(|still| !**still).count() } else { range.len() };
+            window.drive_noise_m_s2 = found.noise() * (noisy as f64 / range.len() as f64).sqrt();
+            let beside = table_displacement_m.get(range.clone()).and_then(|x| found.beside(x));
+            let rest = match beside {
+                Some((x, noise_m)) => fuse(&x, noise_m, &found.rest, found.noise(), rate).acceleration_m_s2,
+                None if !found.white => continue,
+                None => found.rest,
+            };
+            // A solver takes long steps where what drives it is smooth; the impulse of a kick is what counts.
+            let rest = smooth(&smooth(&rest));
+            let of_wave = found.wave.iter().zip(&rest).zip(&found.still);
+            let drive =
+                of_wave.map(|((wave, rest), still)| if found.white && *still { *wave } else { wave + rest });
+            self.drive_m_s2[range].iter_mut().zip(drive).for_each(|(to, drive)| *to = drive);
         }
     }
 
@@ -454,7 +474,15 @@ fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
     let start = range.end - (counted * cycle).round() as usize;
     let warm_from = start.saturating_sub((3.0 * cycle).round() as usize).max(range.start);
     let warm_from = from_the_middle(&motion.displacement_m, warm_from..start, cycle);
-    Some(Window { step, frequency_hz, warm_from, range: start..range.end, held_out: false, source: 0 })
+    Some(Window {
+        step,
+        frequency_hz,
+        warm_from,
+        range: start..range.end,
+        held_out: false,
+        source: 0,
+        drive_noise_m_s2: 0.0,
+    })
 }
 
 /// The first passage through zero within a cycle: a model is warmed up from rest in the middle, and what it remembers of a jump
@@ -479,6 +507,7 @@ fn equal_parts(n: usize, motion: &Motion) -> Vec<Window> {
             range: i * length..(i + 1) * length,
             held_out: false,
             source: 0,
+            drive_noise_m_s2: 0.0,
         })
         .collect()
 }

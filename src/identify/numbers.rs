@@ -136,7 +136,7 @@ impl Numbers {
                 start,
                 scale: (0.1 * start.abs()).max(1e-3 * high.abs()),
                 prior: (centre, half.max(1e-300) * if parameter.sign == Sign::Either { SIGMA } else { 2.0 }),
-                bounds: (bottom.max(tiny), (3.0 * high.abs()).min(parameter.at_most)),
+                bounds: (bottom.max(tiny).max(parameter.at_least), (3.0 * high.abs()).min(parameter.at_most)),
             }
         };
         self.numbers.push(Number { key: key.to_owned(), logarithmic });

@@ -7,7 +7,7 @@ use realfft::num_complex::Complex64;
 use std::f64::consts::TAU;
 
 /// Harmonics of a periodic motion that are kept.
-const HARMONICS: usize = 5;
+const HARMONICS: usize = 9;
 /// Deviations by which a harmonic stands out of noise.
 const SIGNIFICANT: f64 = 4.5;
 /// Corrections of the frequency.
@@ -16,19 +16,47 @@ const CORRECTIONS: usize = 4;
 const PARTS: f64 = 8.0;
 /// Those means may vary by so much more than white noise has them vary.
 const WHITE: f64 = 1.6;
+/// An impact kicks the table: means over so many samples that stand out by so many deviations are motion, and so is what lies
+/// beside them, as long as it is no more than this share of the stretch.
+const KICK: usize = 8;
+const KICKS: f64 = 5.0;
+const KICKED: f64 = 0.6;
+/// Samples in which a table comes back to its course after a kick, some 15 ms.
+const RECOVERY: usize = 4 * KICK;
+/// A displacement belongs to an acceleration when their fundamentals agree within this share.
+const ALONG: f64 = 0.03;
+/// Times that kicks are looked for beside what the rest of the stretch says the harmonics are.
+const LOOKS: usize = 3;
 
-/// The periodic part of a channel about its mean, with about the given frequency; `None` when more than white noise is left, so that the
-/// channel has to be taken as it is.
-pub fn periodic(channel: &[f64], frequency_hz: f64, rate_hz: f64) -> Option<Vec<f64>> {
+/// A channel taken apart.
+pub struct Periodic {
+    /// The significant harmonics.
+    pub wave: Vec<f64>,
+    /// What is left beside them and the mean: noise, and the kicks of impacts.
+    pub rest: Vec<f64>,
+    /// Whether each sample lies outside the kicks.
+    pub still: Vec<bool>,
+    /// Outside the kicks there is white noise alone.
+    pub white: bool,
+    /// rad a sample.
+    angle: f64,
+    /// Amplitude of the fundamental.
+    amplitude: f64,
+    rate_hz: f64,
+}
+
+/// Takes a channel apart that moves with about the given frequency; `None` when it does not.
+pub fn periodic(channel: &[f64], frequency_hz: f64, rate_hz: f64) -> Option<Periodic> {
     let cycle = rate_hz / frequency_hz.max(1e-9);
     if (channel.len() as f64) < 2.0 * cycle || cycle < 4.0 * HARMONICS as f64 {
         return None;
     }
     let mut w = TAU * frequency_hz / rate_hz;
     let middle = 0.5 * channel.len() as f64;
+    let all = vec![true; channel.len()];
     for _ in 0..CORRECTIONS {
         // a sin(w t) + b cos(w t) + t (c sin(w t) + d cos(w t)): c and d are what a wrong frequency makes.
-        let x = regress(channel, |n| {
+        let x = regress(channel, &all, |n| {
             let t = n as f64 - middle;
             let (sin, cos) = (w * t).sin_cos();
             [1.0, sin, cos, t * sin, t * cos]
@@ -39,52 +67,121 @@ pub fn periodic(channel: &[f64], frequency_hz: f64, rate_hz: f64) -> Option<Vec<
     if !(w * rate_hz / TAU / frequency_hz - 1.0).abs().lt(&0.05) {
         return None;
     }
-    let row = |n: usize| {
-        let first = Complex64::from_polar(1.0, w * (n as f64 - middle));
-        let (mut wave, mut row) = (first, [1.0; 1 + 2 * HARMONICS]);
-        for pair in row[1..].chunks_exact_mut(2) {
-            pair.copy_from_slice(&[wave.im, wave.re]);
-            wave *= first;
-        }
-        row
-    };
-    let mut x = regress(channel, row)?;
-    // A periodic motion comes back to where it was.
-    let zero = std::mem::take(&mut x[0]);
-    // Noise that falls on a harmonic is of that noise's size; a harmonic of the table stands out.
     let variance = white_variance(channel);
-    for pair in x[3..].chunks_exact_mut(2) {
-        if pair[0].powi(2) + pair[1].powi(2) < SIGNIFICANT.powi(2) * 2.0 * variance / channel.len() as f64 {
-            pair.fill(0.0);
+    let (mut still, mut look) = (all, 1);
+    loop {
+        let mut x = regress(channel, &still, |n| harmonics(w * (n as f64 - middle)))?;
+        // A periodic motion comes back to where it was.
+        let zero = std::mem::take(&mut x[0]);
+        // Noise that falls on a harmonic is of that noise's size; a harmonic of the table stands out.
+        for pair in x[3..].chunks_exact_mut(2) {
+            if pair[0].powi(2) + pair[1].powi(2) < SIGNIFICANT.powi(2) * 2.0 * variance / channel.len() as f64
+            {
+                pair.fill(0.0);
+            }
         }
+        let at = |n: usize| harmonics(w * (n as f64 - middle)).iter().zip(&x).map(|(a, b)| a * b).sum();
+        let wave: Vec<f64> = (0..channel.len()).map(at).collect();
+        let rest: Vec<f64> = channel.iter().zip(&wave).map(|(y, s)| y - zero - s).collect();
+        let kicks = without_kicks(&rest, variance.sqrt());
+        if look < LOOKS && kicks != still {
+            (still, look) = (kicks, look + 1);
+            continue;
+        }
+        let quiet: Vec<f64> =
+            rest.iter().zip(&kicks).map(|(r, still)| if *still { *r } else { 0.0 }).collect();
+        let kicked = kicks.iter().filter(|still| !**still).count() as f64;
+        let white =
+            kicked <= KICKED * channel.len() as f64 && is_white(&quiet, variance, (cycle / PARTS) as usize);
+        return Some(Periodic {
+            wave,
+            rest,
+            still: kicks,
+            white,
+            angle: w,
+            amplitude: x[1].hypot(x[2]),
+            rate_hz,
+        });
     }
-    let smooth: Vec<f64> =
-        (0..channel.len()).map(|n| row(n).iter().zip(&x).map(|(a, b)| a * b).sum()).collect();
-    let left: Vec<f64> = channel.iter().zip(&smooth).map(|(y, s)| y - zero - s).collect();
-    is_white(&left, (cycle / PARTS) as usize).then_some(smooth)
+}
+
+impl Periodic {
+    /// What a displacement with this acceleration shows beside the harmonics, and its white noise; `None` when it does not move
+    /// along.
+    pub fn beside(&self, displacement_m: &[f64]) -> Option<(Vec<f64>, f64)> {
+        if displacement_m.len() != self.wave.len() || displacement_m.iter().any(|x| !x.is_finite()) {
+            return None;
+        }
+        let middle = 0.5 * displacement_m.len() as f64;
+        let row = |n: usize| harmonics(self.angle * (n as f64 - middle));
+        let x = regress(displacement_m, &self.still, row)?;
+        let amplitude = x[1].hypot(x[2]) * (self.angle * self.rate_hz).powi(2);
+        let along = (amplitude / self.amplitude.max(1e-300) - 1.0).abs() < ALONG;
+        let at = |(n, y): (usize, &f64)| y - row(n).iter().zip(&x).map(|(a, b)| a * b).sum::<f64>();
+        let noise = white_variance(displacement_m).sqrt();
+        (along && noise > 0.0).then(|| (displacement_m.iter().enumerate().map(at).collect(), noise))
+    }
+
+    /// Noise of the channel, rms, by the differences of neighbours outside the kicks.
+    pub fn noise(&self) -> f64 {
+        white_variance(&self.rest).sqrt()
+    }
+}
+
+/// 1 and the harmonics of an angle.
+fn harmonics(angle: f64) -> [f64; 1 + 2 * HARMONICS] {
+    let first = Complex64::from_polar(1.0, angle);
+    let (mut wave, mut row) = (first, [1.0; 1 + 2 * HARMONICS]);
+    for pair in row[1..].chunks_exact_mut(2) {
+        pair.copy_from_slice(&[wave.im, wave.re]);
+        wave *= first;
+    }
+    row
+}
+
+/// Which samples lie outside the kicks.
+fn without_kicks(left: &[f64], noise: f64) -> Vec<bool> {
+    let mut still = vec![true; left.len()];
+    let mut sum: f64 = left.iter().take(KICK).sum();
+    for n in 0..left.len().saturating_sub(KICK) {
+        if sum.abs() > KICKS * noise * (KICK as f64).sqrt() {
+            still[n.saturating_sub(KICK)..(n + RECOVERY).min(left.len())].fill(false);
+        }
+        sum += left[n + KICK] - left[n];
+    }
+    still
+}
+
+/// Means over a kick's samples about each.
+pub fn smooth(channel: &[f64]) -> Vec<f64> {
+    let near = |n: usize| n.saturating_sub(KICK / 2)..(n + KICK / 2 + 1).min(channel.len());
+    (0..channel.len()).map(|n| channel[near(n)].iter().sum::<f64>() / near(n).len() as f64).collect()
 }
 
 /// Variance of white noise on a slow channel, by the differences of neighbours.
-fn white_variance(channel: &[f64]) -> f64 {
+pub fn white_variance(channel: &[f64]) -> f64 {
     let second = channel.windows(3).map(|x| (x[2] - 2.0 * x[1] + x[0]).powi(2)).sum::<f64>();
     second / (6 * channel.len()) as f64
 }
 
 /// Means over so many samples vary as those of white noise do, whose variance the differences of neighbours tell.
-fn is_white(noise: &[f64], samples: usize) -> bool {
+fn is_white(noise: &[f64], variance: f64, samples: usize) -> bool {
     let samples = samples.max(2);
-    let variance = white_variance(noise);
     let parts = noise.chunks_exact(samples);
     let count = parts.len() as f64;
     let of_means = parts.map(|part| (part.iter().sum::<f64>() / samples as f64).powi(2)).sum::<f64>() / count;
     of_means * samples as f64 <= WHITE * variance
 }
 
-/// Least squares of a channel on the rows.
-fn regress<const N: usize>(channel: &[f64], row: impl Fn(usize) -> [f64; N]) -> Option<[f64; N]> {
+/// Least squares of those samples of a channel that count on the rows.
+fn regress<const N: usize>(
+    channel: &[f64],
+    counts: &[bool],
+    row: impl Fn(usize) -> [f64; N],
+) -> Option<[f64; N]> {
     let mut normal = SMatrix::<f64, N, N>::zeros();
     let mut right = [0.0; N];
-    for (n, y) in channel.iter().enumerate() {
+    for (n, y) in channel.iter().enumerate().filter(|(n, _)| counts[*n]) {
         let x = row(n);
         for i in 0..N {
             right[i] += x[i] * y;
@@ -118,16 +215,36 @@ mod tests {
     fn the_noise_of_a_steady_motion_is_taken_out_although_its_frequency_is_known_to_half_a_percent() {
         let (clean, seen) = noisy(|t| 0.4 * (TAU * 1.3 * t).sin() + 0.02 * (TAU * 3.9 * t).cos(), 1);
         let smooth = periodic(&seen, 1.3 * 1.005, 2048.0).expect("periodic");
+        assert!(smooth.white);
+        let smooth = smooth.wave;
         let rms = (clean.iter().zip(&smooth).map(|(a, b)| (a - b).powi(2)).sum::<f64>() / 9000.0).sqrt();
         assert!(rms < 0.01 * (13.0 / 9000.0_f64).sqrt() * 1.6, "{rms}");
     }
 
     #[test]
+    fn kicks_of_impacts_stay_and_leave_the_sine_as_it_is() {
+        let kick = |t: f64| if t.rem_euclid(0.77) < 0.015 { 0.1 } else { 0.0 };
+        let (clean, seen) = noisy(|t| 0.4 * (TAU * 1.3 * t).sin() + kick(t), 5);
+        let found = periodic(&seen, 1.3, 2048.0).expect("periodic");
+        assert!(found.white);
+        let kept = found.wave.iter().zip(&found.rest).zip(&found.still);
+        let smooth = kept.map(|((wave, rest), still)| if *still { *wave } else { wave + rest });
+        let apart: Vec<f64> = clean.iter().zip(smooth).map(|(a, b)| a - b).collect();
+        // Within the kicks the noise stays, beside them there is as little as without kicks.
+        let beside = |n: &usize| (0.06..0.75).contains(&(*n as f64 / 2048.0).rem_euclid(0.77));
+        let rms = |of: Vec<f64>| (of.iter().map(|x| x * x).sum::<f64>() / of.len() as f64).sqrt();
+        let quiet = rms((0..9000).filter(beside).map(|n| apart[n]).collect());
+        assert!(quiet < 0.01 * (13.0 / 9000.0_f64).sqrt() * 1.6, "{quiet}");
+        let sum: f64 = apart.iter().sum::<f64>() / 2048.0;
+        assert!(sum.abs() < 3.0 * 0.01 * (9000.0 * 0.15_f64).sqrt() / 2048.0, "{sum} m/s");
+    }
+
+    #[test]
     fn a_motion_that_swells_or_jumps_is_taken_as_it_is() {
         let (_, swells) = noisy(|t| (0.4 + 0.01 * t) * (TAU * 1.3 * t).sin(), 2);
-        assert!(periodic(&swells, 1.3, 2048.0).is_none());
+        assert!(!periodic(&swells, 1.3, 2048.0).expect("of that frequency").white);
         let (_, jumps) = noisy(|t| 0.4 * (TAU * 1.3 * t + if t > 2.0 { 0.05 } else { 0.0 }).sin(), 3);
-        assert!(periodic(&jumps, 1.3, 2048.0).is_none());
+        assert!(!periodic(&jumps, 1.3, 2048.0).expect("of that frequency").white);
         let (_, still) = noisy(|_| 0.0, 4);
         assert!(periodic(&still[..1500], 1.3, 2048.0).is_none());
     }

@@ -1,9 +1,7 @@
 //! Damped Gauss-Newton on the response: the nuisances of each step are eliminated from the normal equations, which therefore stay
 //! as small as the model. Called for every fit and every judgement by the response.
 
-use super::{
-    COMMON, Laid, Measured, Nuisances, OVER, SIMULATED, STARTING, Simulated, Specimens, Step, robust, slopes,
-};
+use super::{COMMON, HUBER, Laid, Measured, Nuisances, OVER, Simulated, Specimens, Step, robust, slopes};
 use crate::identify::least_squares::{self, Free, Settings, dot};
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
@@ -14,6 +12,10 @@ use std::cell::RefCell;
 
 /// A fall of the cost that is not worth another step.
 const SETTLED: f64 = 0.3;
+/// Share of the cost above which the slopes along the nuisances are kept.
+const LITTLE: f64 = 0.9;
+/// Steps that are taken with the slopes of an earlier one.
+const CHORDS: usize = 3;
 
 impl<'a> Measured<'a> {
     /// Slopes of a step's residuals along the values that move and along its nuisances.
@@ -23,6 +25,7 @@ impl<'a> Measured<'a> {
         moved: &mut [Moved],
         step: &Step<'_>,
         own: &[f64],
+        known: Option<Vec<Vec<f64>>>,
     ) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
         let motion = self.motion;
         let (window, n) = (step.window, step.simulated.len());
@@ -55,24 +58,34 @@ impl<'a> Measured<'a> {
             along.push(column(&|_| 0.0, &|i| -step.simulated[i].1));
             along.push(column(&of_a, &|_| 0.0));
         }
-        let mut beside = Vec::with_capacity(own.len());
-        let mut specimens = job.own.borrow_mut();
-        for (j, sigma) in self.sigmas(window).into_iter().enumerate().take(SIMULATED) {
-            let h = 0.3 * sigma.max(1e-12);
-            let mut start = own.to_vec();
-            start[j] += h;
-            let simulated = self.simulate(&mut specimens, window, common[0], &start);
-            beside.push(changed(&simulated, h));
+        let fresh = known.is_none();
+        let mut beside = known.unwrap_or_default();
+        if fresh {
+            let mut specimens = job.own.borrow_mut();
+            for (j, sigma) in self.sigmas(window).into_iter().enumerate().take(self.followed(window)) {
+                let h = 0.3 * sigma.max(1e-12);
+                let mut start = own.to_vec();
+                start[j] += h;
+                let simulated = self.simulate(&mut specimens, window, common[0], &start);
+                beside.push(changed(&simulated, h));
+            }
+            beside.push(column(&|i| if counts(i) { -1.0 } else { 0.0 }, &|_| 0.0));
+            let knots = self.knots(window);
+            for knot in 0..knots {
+                let share = |i: usize| match self.beside(window, i, knots) {
+                    (left, share) if left == knot => 1.0 - share,
+                    (left, share) if left + 1 == knot => share,
+                    _ => 0.0,
+                };
+                beside.push(column(&|_| 0.0, &|i| -share(i)));
+            }
         }
-        beside.push(column(&|i| if counts(i) { -1.0 } else { 0.0 }, &|_| 0.0));
-        let knots = own.len() - STARTING;
-        for knot in 0..knots {
-            let share = |i: usize| match self.beside(window, i, knots) {
-                (left, share) if left == knot => 1.0 - share,
-                (left, share) if left + 1 == knot => share,
-                _ => 0.0,
-            };
-            beside.push(column(&|_| 0.0, &|i| -share(i)));
+        // A large residual stands as the root of its share of the cost.
+        for (i, r) in step.residuals[..n].iter().enumerate().filter(|(_, r)| r.abs() > HUBER) {
+            along.iter_mut().for_each(|c| c[i] *= HUBER / r.abs());
+            if fresh {
+                beside.iter_mut().for_each(|c| c[i] *= HUBER / r.abs());
+            }
         }
         let finite = |c: &Vec<f64>| c.iter().all(|x| x.is_finite());
         along.iter_mut().chain(&mut beside).filter(|c| !finite(c)).for_each(|c| c.fill(0.0));
@@ -127,31 +140,54 @@ impl<'a> Measured<'a> {
         fitted.numbers.put(&values, &mut fitted.spec).then_some(())?;
         let (mut cost, mut steps) = self.lay(&fitted.spec, part, &values, &nuisances)?;
         let mut damping = 1e-4;
-        let mut system = self.linearise(&fitted, &values, &nuisances, &steps, |_, _, _| ())?;
-        let mut accepted = 0;
-        while accepted < settings.iterations {
+        let mut system = self.linearise(&fitted, &values, &nuisances, &steps, None)?;
+        let mut cost_of_nuisances = cost;
+        let (mut rounds, mut chords) = (0, 0);
+        while rounds < settings.iterations {
             let Some((moved, own)) = system.step(free, &values, &nuisances, damping) else { break };
+            if chords == 0 && system.promises(free, &values, &moved) < SETTLED {
+                break;
+            }
             let mut spec = fitted.spec.clone();
             let laid =
                 fitted.numbers.put(&moved, &mut spec).then(|| self.lay(&spec, part, &moved, &own)).flatten();
             let before = cost + prior(&values);
-            match laid {
+            let fall = match laid {
                 Some((to, there)) if to + prior(&moved) < before => {
-                    accepted += 1;
                     let fall = before - to - prior(&moved);
                     (cost, steps, values, nuisances, fitted.spec) = (to, there, moved, own, spec);
-                    damping = (damping * 0.1).max(1e-9);
-                    system = self.linearise(&fitted, &values, &nuisances, &steps, |_, _, _| ())?;
-                    if fall < SETTLED {
-                        break;
-                    }
+                    fall
                 }
+                _ if chords > 0 => 0.0,
                 _ => {
                     damping *= 10.0;
                     if damping > 1e5 {
                         break;
                     }
+                    continue;
                 }
+            };
+            let settled = fall < SETTLED;
+            if chords == 0 {
+                rounds += 1;
+                damping = (damping * 0.1).max(1e-9);
+            }
+            // The slopes hold for a few steps; one simulation in place of one for each of them.
+            if !settled && chords < CHORDS {
+                chords += 1;
+                self.aim(&mut system, &nuisances, &steps);
+                continue;
+            }
+            let ended = settled && chords == 0;
+            chords = 0;
+            // The slopes along the nuisances change little while the model moves little.
+            let little = cost > LITTLE * cost_of_nuisances;
+            if !little {
+                cost_of_nuisances = cost;
+            }
+            system = self.linearise(&fitted, &values, &nuisances, &steps, little.then_some(system))?;
+            if ended {
+                break;
             }
         }
         let count = steps.iter().map(|s| self.count(s.window)).sum();
@@ -165,7 +201,7 @@ impl<'a> Measured<'a> {
         values: &[f64],
         nuisances: &[Nuisances],
         steps: &[Step<'_>],
-        mut keep: impl FnMut(Vec<Vec<f64>>, Vec<Vec<f64>>, f64),
+        known: Option<System>,
     ) -> Option<System> {
         let mut moved = Vec::new();
         let own_numbers = values.len() - COMMON;
@@ -188,28 +224,45 @@ impl<'a> Measured<'a> {
         let size = if fitted.moving { values.len() } else { 0 };
         let mut system =
             System { normal: DMatrix::zeros(size, size), gradient: DVector::zeros(size), own: Vec::new() };
+        let mut known = known.map(|system| system.own.into_iter().map(|own| own.beside));
         for (step, own) in steps.iter().zip(nuisances) {
-            let (along, beside) = self.columns(&job, &mut moved, step, own);
+            let known = known.as_mut().and_then(Iterator::next);
+            let (along, beside) = self.columns(&job, &mut moved, step, own, known);
             let precision = self.precision(step.window);
-            let now = DVector::from_column_slice(own);
-            let chi2 = dot(&step.residuals, &step.residuals) + (now.transpose() * &precision * &now)[(0, 0)];
-            let weight = robust(chi2, self.count(step.window)).1;
+            let weight = self.weight(step, own, &precision);
             let gram = |a: &[Vec<f64>], b: &[Vec<f64>]| {
                 DMatrix::from_fn(a.len(), b.len(), |i, j| weight * dot(&a[i], &b[j]))
             };
-            let slope =
-                |a: &[Vec<f64>]| DVector::from_fn(a.len(), |i, _| weight * dot(&a[i], &step.residuals));
             let inner = gram(&beside, &beside) + weight * &precision;
             let inverse = inner.cholesky()?.inverse();
-            let pull = slope(&beside) + weight * &precision * &now;
             let mixed = gram(&along, &beside);
-            let reduced = &mixed * &inverse;
-            system.normal += gram(&along, &along) - &reduced * mixed.transpose();
-            system.gradient += slope(&along) - &reduced * &pull;
-            system.own.push(Eliminated { mixed, inverse, pull });
-            keep(along, beside, weight);
+            system.normal += gram(&along, &along) - &mixed * &inverse * mixed.transpose();
+            let pull = DVector::zeros(own.len());
+            system.own.push(Eliminated { along, beside, weight, precision, mixed, inverse, pull });
         }
+        self.aim(&mut system, nuisances, steps);
         Some(system)
+    }
+
+    /// A step's slope of the cost by its sum of squares.
+    fn weight(&self, step: &Step<'_>, own: &[f64], precision: &DMatrix<f64>) -> f64 {
+        let now = DVector::from_column_slice(own);
+        let chi2 = dot(&step.residuals, &step.residuals) + (now.transpose() * precision * &now)[(0, 0)];
+        robust(chi2, self.count(step.window)).1
+    }
+
+    /// The gradient where the residuals are now, along the slopes that are there.
+    fn aim(&self, system: &mut System, nuisances: &[Nuisances], steps: &[Step<'_>]) {
+        system.gradient.fill(0.0);
+        for ((eliminated, step), own) in system.own.iter_mut().zip(steps).zip(nuisances) {
+            let weight = self.weight(step, own, &eliminated.precision);
+            let now = DVector::from_column_slice(own);
+            let slope =
+                |a: &[Vec<f64>]| DVector::from_fn(a.len(), |i, _| weight * dot(&a[i], &step.residuals));
+            eliminated.pull = slope(&eliminated.beside) + weight * &eliminated.precision * &now;
+            let through = &eliminated.inverse * &eliminated.pull;
+            system.gradient += slope(&eliminated.along) - &eliminated.mixed * through;
+        }
     }
 
     /// The fit as the rest of the diagnosis knows fits: the model's numbers and the zero, everything else eliminated.
@@ -276,13 +329,34 @@ pub(super) struct System {
     pub(super) own: Vec<Eliminated>,
 }
 
+/// What belongs to one step.
 pub(super) struct Eliminated {
+    /// Slopes of its residuals along the values, and along its nuisances.
+    pub(super) along: Vec<Vec<f64>>,
+    pub(super) beside: Vec<Vec<f64>>,
+    pub(super) weight: f64,
+    precision: DMatrix<f64>,
     pub(super) mixed: DMatrix<f64>,
     pub(super) inverse: DMatrix<f64>,
     pub(super) pull: DVector<f64>,
 }
 
 impl System {
+    /// How far the cost falls to second order when the values move and the nuisances follow.
+    fn promises(&self, free: &[Free], values: &[f64], moved: &[f64]) -> f64 {
+        let n = self.gradient.len();
+        let of_steps = self.own.iter().map(|own| (own.pull.transpose() * &own.inverse * &own.pull)[(0, 0)]);
+        let change = DVector::from_fn(n, |j, _| moved[j] - values[j]);
+        let of_values =
+            -2.0 * self.gradient.dot(&change) - (change.transpose() * &self.normal * &change)[(0, 0)];
+        let of_priors = if n > 0 {
+            least_squares::prior_sum(free, values) - least_squares::prior_sum(free, moved)
+        } else {
+            0.0
+        };
+        of_steps.sum::<f64>() + of_values + of_priors
+    }
+
     /// Values and nuisances after a damped step.
     fn step(
         &self,
@@ -292,25 +366,11 @@ impl System {
         damping: f64,
     ) -> Option<(Vec<f64>, Vec<Nuisances>)> {
         let n = self.gradient.len();
-        let mut moved = values.to_vec();
-        if n > 0 {
-            let s: Vec<f64> = free.iter().map(|f| f.scale).collect();
-            let mut matrix = DMatrix::from_fn(n, n, |i, j| self.normal[(i, j)] * s[i] * s[j]);
-            let mut right = DVector::from_fn(n, |j, _| -self.gradient[j] * s[j]);
-            for j in 0..n {
-                let (mean, sigma) = free[j].prior;
-                if sigma.is_finite() {
-                    matrix[(j, j)] += (s[j] / sigma).powi(2);
-                    right[j] -= s[j] * (values[j] - mean) / sigma.powi(2);
-                }
-            }
-            let floor = (0..n).map(|j| matrix[(j, j)]).fold(0.0, f64::max) * 1e-15;
-            (0..n).for_each(|j| matrix[(j, j)] = matrix[(j, j)] * (1.0 + damping) + floor.max(1e-300));
-            let solution = matrix.cholesky()?.solve(&right);
-            for j in 0..n {
-                moved[j] = (values[j] + solution[j] * s[j]).clamp(free[j].bounds.0, free[j].bounds.1);
-            }
-        }
+        let moved = if n > 0 {
+            least_squares::damped_step(free, values, &self.normal, &self.gradient, damping)?
+        } else {
+            values.to_vec()
+        };
         let change = DVector::from_fn(n, |j, _| moved[j] - values[j]);
         let own = nuisances.iter().zip(&self.own).map(|(own, eliminated)| {
             let pull = if n > 0 {

@@ -25,17 +25,18 @@ use nalgebra::{DMatrix, DVector};
 /// which a stiff contact leads elsewhere does not rule the fit.
 const ROBUST: f64 = 1.5;
 /// Samples that are simulated at most in one evaluation; steps are left out evenly beyond it.
-const SAMPLES: usize = 200_000;
+const SAMPLES: usize = 120_000;
 /// Standard deviation of the time between the table's channel and the others, in samples.
 const LAG: f64 = 0.3;
 /// Numbers beyond the model's: zero of the displacement sensor, leak, lag, gains of the displacement sensor and of the
 /// accelerometers, as far as the kinematics leave them open.
 const COMMON: usize = 5;
-/// Nuisances of a step before the knots of the displacement sensor's drift: start displacement and velocity, amplitude and time of
-/// what drives it, zero of A.
-const STARTING: usize = 5;
-/// Those that take a simulation to follow.
-const SIMULATED: usize = 4;
+/// Nuisances of every step that take a simulation to follow: start displacement and velocity, amplitude and time of what drives it.
+/// After them come the offsets of what drives it in each half cycle, where there is noise in it; then, without a simulation, the zero
+/// of A and the knots of the displacement sensor's drift.
+const STARTING: usize = 4;
+/// Noise of what drives a step below this share of the table's own is not followed.
+const QUIET: f64 = 0.1;
 /// A second difference of the measured acceleration above so many times its noise is a jump, as where a damped contact begins:
 /// which of two samples it falls between is chance.
 const JUMP: f64 = 7.0;
@@ -43,6 +44,9 @@ const JUMP: f64 = 7.0;
 const NEAR: usize = 8;
 /// Share of the steps, those with most left, in which a stiff contact may have led elsewhere.
 const ELSEWHERE: f64 = 0.15;
+/// A residual of the acceleration above so many times its noise counts by its size, no more by its square (Huber 1964): where a
+/// simulated contact begins some samples off, the jump does not rule the fit.
+const HUBER: f64 = 6.0;
 /// Samples on each side of a jump that do not count.
 const AROUND: usize = 2;
 /// A change of a residual by more than this, in units of its noise, within the small difference of a slope is a jump that went
@@ -68,7 +72,7 @@ pub struct Measured<'a> {
 }
 
 /// What is estimated in one step beside the model's numbers: start displacement, start velocity (against the measured
-/// ones), amplitude (relative) and time (s) of what drives it, zero of A, then the knots of the drift.
+/// ones), amplitude (relative) and time (s) of what drives it, its offsets (m/s2), zero of A, then the knots of the drift.
 pub type Nuisances = Vec<f64>;
 
 /// A model laid against the steps of a part.
@@ -196,8 +200,22 @@ impl<'a> Measured<'a> {
             + 1
     }
 
+    /// Offsets of what drives a step: one in each half cycle, where it is noisy.
+    fn offsets(&self, window: &Window) -> usize {
+        let noisy = window.drive_noise_m_s2 > QUIET * self.table_noise_m_s2;
+        if noisy { 2 * (self.knots(window) - 1) } else { 0 }
+    }
+
+    /// Nuisances of a step that take a simulation to follow.
+    fn followed(&self, window: &Window) -> usize {
+        STARTING + self.offsets(window)
+    }
+
     fn still(&self, part: Part) -> Vec<Nuisances> {
-        let nothing = |k: &usize| vec![0.0; STARTING + self.knots(&self.motion.windows[*k])];
+        let nothing = |k: &usize| {
+            let window = &self.motion.windows[*k];
+            vec![0.0; self.followed(window) + 1 + self.knots(window)]
+        };
         self.windows(part).iter().map(nothing).collect()
     }
 
@@ -223,11 +241,13 @@ impl<'a> Measured<'a> {
             .impose(motion.displacement_m[last] + zero_m + start[0], motion.velocity_m_s[last] + start[1]);
         // What drives the step, its amplitude and time as they are estimated.
         let end = motion.drive_m_s2.len() - 1;
+        let offsets = &start[STARTING..self.followed(window)];
         let drive = |n: usize| {
+            let at = n.saturating_sub(window.range.start) * offsets.len() / window.range.len();
             let slope = 0.5
                 * (motion.drive_m_s2[(n + 1).min(end)] - motion.drive_m_s2[n.max(1) - 1])
                 * motion.sample_rate_hz;
-            motion.drive_m_s2[n] * (1.0 + start[2]) + slope * start[3]
+            motion.drive_m_s2[n] * (1.0 + start[2]) + slope * start[3] + offsets.get(at).unwrap_or(&0.0)
         };
         specimen.prime(drive(last));
         let table: Vec<f64> = window.range.clone().map(drive).collect();
@@ -246,18 +266,13 @@ impl<'a> Measured<'a> {
     }
 
     /// Measured less simulated A, then D, over their noises.
-    fn residuals(
-        &self,
-        window: &Window,
-        simulated: &Simulated,
-        common: &[f64],
-        nuisances: &[f64],
-    ) -> Vec<f64> {
+    fn misfit(&self, window: &Window, simulated: &Simulated, common: &[f64], nuisances: &[f64]) -> Vec<f64> {
         let motion = self.motion;
         let (sa, sd) = (1.0 / motion.restoring_noise_m_s2, 1.0 / motion.laser_noise_m);
         let (zero_m, leak, lag) = (common[0], common[1], common[2] * motion.sample_rate_hz);
         let (gain_d, gain_a) = (1.0 + common[3], 1.0 + common[4]);
-        let (offset, drift) = (nuisances[STARTING - 1], &nuisances[STARTING..]);
+        let followed = self.followed(window);
+        let (offset, drift) = (nuisances[followed], &nuisances[followed + 1..]);
         let n = simulated.len();
         let mut out = vec![0.0; 2 * n];
         for (i, (a, d)) in simulated.iter().enumerate() {
@@ -275,40 +290,58 @@ impl<'a> Measured<'a> {
         out
     }
 
+    /// The misfit, a large one of the acceleration as the root of its share of the cost.
+    fn residuals(
+        &self,
+        window: &Window,
+        simulated: &Simulated,
+        common: &[f64],
+        nuisances: &[f64],
+    ) -> Vec<f64> {
+        let mut out = self.misfit(window, simulated, common, nuisances);
+        for r in out[..simulated.len()].iter_mut().filter(|r| r.abs() > HUBER) {
+            *r = (HUBER * (2.0 * r.abs() - HUBER)).sqrt().copysign(*r);
+        }
+        out
+    }
+
     /// Prior deviations of a step's nuisances before the drift.
-    fn sigmas(&self, window: &Window) -> [f64; STARTING] {
+    fn sigmas(&self, window: &Window) -> Vec<f64> {
         let motion = self.motion;
         let drive = &motion.drive_m_s2[window.range.clone()];
         let power = dot(drive, drive).max(1e-300);
         // Of the amplitude of a sine in white noise, relative; its phase is as uncertain.
         let amplitude = self.table_noise_m_s2 / power.sqrt();
         let w = std::f64::consts::TAU * window.frequency_hz.max(1e-9);
-        [
+        let offsets = self.offsets(window);
+        let half_cycle = window.range.len() as f64 / offsets.max(1) as f64;
+        let mut sigmas = vec![
             3.0 * motion.displacement_noise_m,
             3.0 * motion.velocity_noise_m_s,
             amplitude,
             amplitude / w,
-            motion.restoring_noise_m_s2,
-        ]
+        ];
+        sigmas.extend(vec![window.drive_noise_m_s2 / half_cycle.sqrt(); offsets]);
+        sigmas.push(motion.restoring_noise_m_s2);
+        sigmas
     }
 
     /// Prior precisions of a step's nuisances; those of the drift are correlated.
     fn precision(&self, window: &Window) -> DMatrix<f64> {
-        let knots = self.knots(window);
-        let mut out = DMatrix::zeros(STARTING + knots, STARTING + knots);
         let sigmas = self.sigmas(window);
+        let (first, knots) = (sigmas.len(), self.knots(window));
+        let mut out = DMatrix::zeros(first + knots, first + knots);
         for (j, sigma) in sigmas.into_iter().enumerate() {
             out[(j, j)] = sigma.max(1e-300).powi(-2);
         }
         // A first-order autoregression from knot to knot.
         let innovation = (1.0 - DRIFT_MEMORY * DRIFT_MEMORY) * self.drift_m.max(1e-300).powi(2);
-        for j in 0..knots {
-            let ends = j == 0 || j + 1 == knots;
-            out[(STARTING + j, STARTING + j)] =
-                (1.0 + if ends { 0.0 } else { DRIFT_MEMORY * DRIFT_MEMORY }) / innovation;
-            if j + 1 < knots {
-                out[(STARTING + j, STARTING + j + 1)] = -DRIFT_MEMORY / innovation;
-                out[(STARTING + j + 1, STARTING + j)] = -DRIFT_MEMORY / innovation;
+        for j in first..first + knots {
+            let ends = j == first || j + 1 == first + knots;
+            out[(j, j)] = (1.0 + if ends { 0.0 } else { DRIFT_MEMORY * DRIFT_MEMORY }) / innovation;
+            if j + 1 < first + knots {
+                out[(j, j + 1)] = -DRIFT_MEMORY / innovation;
+                out[(j + 1, j)] = -DRIFT_MEMORY / innovation;
             }
         }
         out

@@ -2,26 +2,18 @@
 //! search for every start of every effect.
 
 use super::descent::{Eliminated, Fitted};
-use super::{COMMON, Laid, Measured, Step};
+use super::{COMMON, HUBER, Laid, Measured, Step};
 use crate::identify::least_squares::dot;
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
 use crate::model::ModelSpec;
 use nalgebra::{DMatrix, DVector};
 
-/// A step with the slopes of its residuals along the model's values and along its own nuisances, and its weight.
-struct Linearised<'a> {
-    step: Step<'a>,
-    along: Vec<Vec<f64>>,
-    beside: Vec<Vec<f64>>,
-    weight: f64,
-}
-
 /// The response about a fitted model, linearised: what a further effect would bring, to first order.
 pub struct Tangent<'b, 'a> {
     measured: &'b Measured<'a>,
     laid: &'b Laid,
-    steps: Vec<Linearised<'a>>,
+    steps: Vec<Step<'a>>,
     own: Vec<Eliminated>,
     gradient: DVector<f64>,
     inverse: DMatrix<f64>,
@@ -38,11 +30,7 @@ impl<'a> Measured<'a> {
         let free = self.free(numbers, 0.0);
         let (_, steps) = self.lay(spec, Part::Training, &laid.values, &laid.nuisances)?;
         let fitted = Fitted { spec: spec.clone(), numbers, free: &free, moving: true };
-        let mut kept = Vec::new();
-        let system =
-            self.linearise(&fitted, &laid.values, &laid.nuisances, &steps, |along, beside, weight| {
-                kept.push((along, beside, weight));
-            })?;
+        let system = self.linearise(&fitted, &laid.values, &laid.nuisances, &steps, None)?;
         let mut normal = system.normal.clone();
         let mut gradient = system.gradient.clone();
         for (j, f) in free.iter().enumerate().filter(|(_, f)| f.prior.1.is_finite()) {
@@ -53,8 +41,6 @@ impl<'a> Measured<'a> {
         let scaled = DMatrix::from_fn(free.len(), free.len(), |i, j| normal[(i, j)] * scale[i] * scale[j]);
         let inverse = scaled.cholesky()?.inverse();
         let inverse = DMatrix::from_fn(free.len(), free.len(), |i, j| inverse[(i, j)] * scale[i] * scale[j]);
-        let linearised = |(step, (along, beside, weight))| Linearised { step, along, beside, weight };
-        let steps = steps.into_iter().zip(kept).map(linearised).collect();
         Some(Tangent { measured: self, laid, steps, own: system.own, gradient, inverse })
     }
 }
@@ -84,10 +70,14 @@ impl Tangent<'_, '_> {
         let (mut power, mut count) = (0.0, 0usize);
         let mut mixed = DVector::zeros(self.gradient.len());
         let steps = self.steps.iter().zip(&self.own).zip(&self.laid.nuisances);
-        for ((Linearised { step, along, beside, weight }, own), nuisances) in steps {
+        for ((step, own), nuisances) in steps {
+            let weight = own.weight;
             let simulated = measured.simulate(&mut specimens, step.window, common[0], nuisances);
-            let mut changed = measured.residuals(step.window, &simulated, common, nuisances);
-            changed.iter_mut().zip(&step.residuals).for_each(|(c, r)| *c -= r);
+            let mut changed = measured.misfit(step.window, &simulated, common, nuisances);
+            let before = measured.misfit(step.window, &step.simulated, common, nuisances);
+            changed.iter_mut().zip(&before).for_each(|(c, r)| *c -= r);
+            let large = step.residuals[..simulated.len()].iter().enumerate().filter(|(_, r)| r.abs() > HUBER);
+            large.for_each(|(i, r)| changed[i] *= HUBER / r.abs());
             if changed.iter().any(|c| !c.is_finite()) {
                 return None;
             }
@@ -96,11 +86,11 @@ impl Tangent<'_, '_> {
             };
             power += weight * dot(&changed, &changed);
             count += changed.len();
-            let inner = against(beside);
+            let inner = against(&own.beside);
             let eliminated = &own.inverse * &inner;
             square += weight * dot(&changed, &changed) - inner.dot(&eliminated);
             slope += weight * dot(&changed, &step.residuals) - own.pull.dot(&eliminated);
-            mixed += against(along) - &own.mixed * &eliminated;
+            mixed += against(&own.along) - &own.mixed * &eliminated;
         }
         let through = &self.inverse * &mixed;
         let (square, slope) = (square - mixed.dot(&through), slope - self.gradient.dot(&through));

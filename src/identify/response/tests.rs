@@ -98,3 +98,21 @@ fn samples_beside_a_jump_do_not_count() {
     let out: Vec<usize> = (0..100).filter(|n| !counts[*n]).collect();
     assert_eq!(out, (47..=52).collect::<Vec<_>>());
 }
+
+#[test]
+fn noise_in_what_drives_a_step_is_followed_from_half_cycle_to_half_cycle() {
+    use rand::{SeedableRng, prelude::Distribution};
+    let mut motion = Motion::of(&seen(&off(), 14), 500.0, Tolerances::default()).expect("a motion");
+    let mut random = rand_pcg::Pcg64::seed_from_u64(14);
+    let normal = rand_distr::Normal::new(0.0, 0.02).expect("valid");
+    motion.drive_m_s2.iter_mut().for_each(|a| *a += normal.sample(&mut random));
+    let excess = |motion: &Motion| {
+        let measured = Measured::new(motion).expect("a base record");
+        let (spec, _, laid) = fitted(&measured);
+        measured.left(&spec, Part::Training, &laid).expect("finite").excess
+    };
+    let unseen = excess(&motion);
+    motion.windows.iter_mut().for_each(|window| window.drive_noise_m_s2 = 0.02);
+    let followed = excess(&motion);
+    assert!(unseen > 0.02 && followed < 0.3 * unseen, "{unseen} {followed}");
+}

@@ -27,6 +27,7 @@ pub static EFFECT: Effect = Effect {
                 0.2 * s.stiffness_n_m(),
             ),
             Parameter::either("exponent", "1", "exponent of the density over yield, above -1", 1.0, -0.5)
+                .at_least(LEAST)
                 .at_most(3.0),
             Parameter::not_negative(
                 "yield_min_m",
@@ -47,12 +48,6 @@ pub static EFFECT: Effect = Effect {
     install: |values, system| {
         let [kp, exponent, low, high] =
             ["kp_n_m", "exponent", "yield_min_m", "yield_max_m"].map(|name| values.get(name));
-        if exponent <= -0.99 {
-            return Err(ModelError::invalid(
-                values.key("exponent"),
-                format!("{exponent}; allowed: -0.99 to 3"),
-            ));
-        }
         if low >= high {
             return Err(ModelError::invalid(
                 values.key("yield_min_m"),
@@ -64,6 +59,8 @@ pub static EFFECT: Effect = Effect {
     },
 };
 
+/// Least exponent: at -1 all stiffness would yield at once.
+const LEAST: f64 = -0.98;
 /// Reversals remembered; the innermost loops beyond that merge.
 const DEPTH: usize = 64;
 

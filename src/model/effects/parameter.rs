@@ -31,6 +31,8 @@ pub struct Parameter {
     pub log_scale: bool,
     /// Which signs it may have.
     pub sign: Sign,
+    /// Smallest allowed value, where the sign alone does not tell.
+    pub at_least: f64,
     /// Largest allowed value.
     pub at_most: f64,
     /// Value when it is left out; `None` when it must be given.
@@ -47,7 +49,8 @@ impl Parameter {
         start: f64,
     ) -> Self {
         let (log_scale, sign) = (true, Sign::Positive);
-        Self { name, unit, about, prior, start, log_scale, sign, at_most: f64::MAX, default: None }
+        let (at_least, at_most) = (f64::MIN, f64::MAX);
+        Self { name, unit, about, prior, start, log_scale, sign, at_least, at_most, default: None }
     }
 
     /// As [`Parameter::positive`], zero allowed.
@@ -87,6 +90,11 @@ impl Parameter {
         Self { default: Some(default), start: default, ..self }
     }
 
+    /// Refused below `at_least`.
+    pub fn at_least(self, at_least: f64) -> Self {
+        Self { at_least, ..self }
+    }
+
     /// Refused above `at_most`.
     pub fn at_most(self, at_most: f64) -> Self {
         Self { at_most, ..self }
@@ -97,8 +105,10 @@ impl Parameter {
         let (low_ok, low) = match self.sign {
             Sign::Positive => (value > 0.0, "above 0"),
             Sign::NotNegative => (value >= 0.0, "0"),
+            Sign::Either if self.at_least > f64::MIN => (value >= self.at_least, ""),
             Sign::Either => (true, "any finite value"),
         };
+        let low = if low.is_empty() { self.at_least.to_string() } else { low.to_owned() };
         if value.is_finite() && low_ok && value <= self.at_most {
             return Ok(());
         }
@@ -106,7 +116,9 @@ impl Parameter {
         let gap = if unit.is_empty() { "" } else { " " };
         let end = match (self.sign, self.at_most < f64::MAX) {
             (Sign::Either, false) => String::new(),
-            (Sign::Either, true) => format!(" up to {}{gap}{unit}", self.at_most),
+            (Sign::Either, true) if self.at_least == f64::MIN => {
+                format!(" up to {}{gap}{unit}", self.at_most)
+            }
             (Sign::Positive, false) => format!("{gap}{unit}"),
             (Sign::NotNegative, false) => format!("{gap}{unit} or more"),
             (_, true) => format!(" to {}{gap}{unit}", self.at_most),

@@ -115,7 +115,10 @@ fn steps_over_many_samples_are_the_steps_from_sample_to_sample() {
     let cases: [(&str, &[(&str, f64)]); 7] = [
         ("maxwell-branch", &[("km_n_m", 3000.0), ("tau_s", 0.1)]),
         ("bouc-wen-hysteresis", &[("kh_n_m", 5000.0), ("dy_m", 0.003)]),
-        ("iwan-hysteresis", &[("kp_n_m", 5000.0), ("exponent", -0.3), ("yield_min_m", 1e-4), ("yield_max_m", 0.01)]),
+        (
+            "iwan-hysteresis",
+            &[("kp_n_m", 5000.0), ("exponent", -0.3), ("yield_min_m", 1e-4), ("yield_max_m", 0.01)],
+        ),
         ("stribeck-friction", &[("fc_n", 40.0), ("fs_n", 60.0), ("vs_m_s", 0.02)]),
         ("stand-compliance", &[("ks_n_m", 2e5), ("ms_kg", 10.0)]),
         ("bumper-stiffening", &[("kb3_n_m3", 3e8)]),
@@ -133,7 +136,10 @@ fn steps_over_many_samples_are_the_steps_from_sample_to_sample() {
         }
         assert_eq!(run.len(), stepped.len(), "{name}");
         // Chords in place of the sine: (wh)^2/12 = 8e-7 of the motion, more where contacts spread it.
-        let apart = run.iter().zip(&stepped).map(|(a, b)| (a.relative_displacement_m - b.relative_displacement_m).abs());
+        let apart = run
+            .iter()
+            .zip(&stepped)
+            .map(|(a, b)| (a.relative_displacement_m - b.relative_displacement_m).abs());
         let worst = apart.fold(0.0, f64::max);
         println!("{name}: {worst} m");
         //assert!(worst < 1e-7, "{name}: {worst} m");
