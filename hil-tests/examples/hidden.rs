@@ -68,6 +68,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         };
         let second = right
             || first.is_some()
+                && !effects.is_empty()
                 && effects.iter().all(|name| {
                     found.effects.iter().any(|e| e.name == *name)
                         || found.ambiguous_with.iter().any(|a| a == name)

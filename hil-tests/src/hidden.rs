@@ -220,7 +220,7 @@ fn with_effect(
         with.effects.push(spec);
         return Some(with);
     }
-    // Bisect the leading parameter on a logarithmic scale.
+    // Bisect the leading parameter, or what takes its place, on a logarithmic scale.
     let leading = match (expression, parameters.first()) {
         (Some(_), _) => {
             for (name, value) in
@@ -234,16 +234,42 @@ fn with_effect(
         }
         (None, first) => first?.name,
     };
-    let start = spec.parameters[leading];
-    let change = |factor: f64| -> Option<f64> {
+    let start = spec.parameters.clone();
+    let grown = |factor: f64| {
         let mut spec = spec.clone();
-        spec.parameters.insert(leading.to_owned(), start * factor);
+        let mut set = |name: &str, value: f64| spec.parameters.insert(name.to_owned(), value);
+        match (effect.name, scales.penetration_m) {
+            // Breakaway friction stays above the sliding one by as much.
+            ("stribeck-friction", _) => {
+                set("fc_n", start["fc_n"] * factor);
+                set("fs_n", start["fs_n"].max(1.3 * start["fc_n"]) * factor);
+            }
+            // A stand is seen the more the softer it is.
+            ("stand-compliance", _) => {
+                set("ks_n_m", start["ks_n_m"] / factor);
+            }
+            // As stiff as the linear bumper at the usual penetration, more and more bent.
+            ("hertz-contact", Some(p)) => {
+                let n = (1.0 + 0.3 * factor).min(3.0);
+                set("n", n);
+                set("kh", scales.contact_stiffness_n_m() * p.powf(1.0 - n));
+            }
+            _ => {
+                set(leading, start[leading] * factor);
+            }
+        }
+        spec
+    };
+    let change = |factor: f64| -> Option<f64> {
         let mut with = truth.clone();
-        with.effects.push(spec);
+        with.effects.push(grown(factor));
         let changed = response(&with, &input.acceleration)?;
-        let difference: Vec<f64> = reference.1.iter().zip(&changed.1).map(|(a, b)| a - b).collect();
-        let moved: Vec<f64> = reference.0.iter().zip(&changed.0).map(|(a, b)| a - b).collect();
-        Some((rms(&difference) / rms(&reference.1)).max(rms(&moved) / rms(&reference.0)))
+        let over = |a: &[f64], b: &[f64], of: &[f64]| {
+            rms(&a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<f64>>()) / rms(of)
+        };
+        let of_a =
+            over(&reference.1, &changed.1, &reference.1).max(over(&reference.2, &changed.2, &reference.1));
+        Some(of_a.max(over(&reference.0, &changed.0, &reference.0)))
     };
     let (mut low, mut high) = (1e-4_f64, 30.0_f64);
     for _ in 0..14 {
@@ -257,9 +283,8 @@ fn with_effect(
     if !(0.5..2.0).contains(&(reached / size)) {
         return None;
     }
-    spec.parameters.insert(leading.to_owned(), start * (low * high).sqrt());
     let mut with = truth.clone();
-    with.effects.push(spec);
+    with.effects.push(grown((low * high).sqrt()));
     Some(with)
 }
 
@@ -267,10 +292,11 @@ fn rms(x: &[f64]) -> f64 {
     (x.iter().map(|v| v * v).sum::<f64>() / x.len().max(1) as f64).sqrt()
 }
 
-/// D and mean A as the instruments would show them without noise.
-fn response(spec: &ModelSpec, input: &[f64]) -> Option<(Vec<f64>, Vec<f64>)> {
+/// D, mean A and half the difference of both A as the instruments would show them without noise.
+fn response(spec: &ModelSpec, input: &[f64]) -> Option<(Vec<f64>, Vec<f64>, Vec<f64>)> {
     let channels = observed(spec, input)?;
-    Some((channels.iter().map(|o| o.0).collect(), channels.iter().map(|o| 0.5 * (o.1 + o.2)).collect()))
+    let of = |channel: &dyn Fn(&(f64, f64, f64)) -> f64| channels.iter().map(channel).collect();
+    Some((of(&|o| o.0), of(&|o| 0.5 * (o.1 + o.2)), of(&|o| 0.5 * (o.1 - o.2))))
 }
 
 fn observed(spec: &ModelSpec, input: &[f64]) -> Option<Vec<(f64, f64, f64)>> {

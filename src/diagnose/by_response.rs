@@ -26,6 +26,8 @@ const SHARE: f64 = 0.05;
 const FURTHER: f64 = 30.0;
 /// Median over the steps of the mean square over the noise above which a model is too far off for first order.
 pub(super) const FAR: f64 = 1.15;
+/// Nats by which the base model has to do better when it is fitted again.
+const BETTER: f64 = 2.0;
 /// Nats that a simpler effect beside the one that contains it has to bring.
 const MERGED: f64 = 20.0;
 /// Change of the response, in units of the noise, that is faint enough for first order; attempts to make a start as faint.
@@ -33,6 +35,21 @@ const FAINT: f64 = 0.3;
 const FAINTER: usize = 3;
 
 impl Searcher<'_> {
+    /// The base model fitted again from where the best finalist has put its numbers, when that does better: what it falls by is
+    /// no effect's.
+    pub(super) fn better_base(&self, stage: &Stage, base: &Trial) -> Option<Trial> {
+        let (measured, best) = (self.measured.as_ref()?, stage.finalists.first()?);
+        let mut spec = best.refit.spec.clone();
+        spec.effects.pop();
+        let start = Trial { refit: Refit { spec, ..base.refit.clone() }, ..base.clone() };
+        let settings = Settings { iterations: 20, ..Settings::default() };
+        let again = trial::respond(measured, &start, Some(&best.response.as_ref()?.training), settings)?;
+        let cost = |trial: &Trial| {
+            trial.response.as_ref().map_or(f64::INFINITY, |r| r.training.cost + r.training.prior)
+        };
+        (cost(base) - cost(&again) > 2.0 * BETTER).then_some(again)
+    }
+
     /// An effect that contains the one before it (Stribeck's friction and Coulomb's) may do alone.
     pub(super) fn merge(&self, stage: &mut Stage, base: &Trial) {
         let Some(measured) = &self.measured else { return };

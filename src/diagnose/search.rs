@@ -310,7 +310,7 @@ impl<'a> Searcher<'a> {
         let together =
             if search.base.response.is_some() { self.effort.together.min(2) } else { self.effort.together };
         for depth in 0..together {
-            let from = search.best().clone();
+            let mut from = search.best().clone();
             if depth > 0
                 && from.response.is_none()
                 && (from.share_left(&search.base) < enough || from.excess() < thresholds.excess)
@@ -318,6 +318,10 @@ impl<'a> Searcher<'a> {
                 break;
             }
             let mut stage = self.stage(&from);
+            if let (0, Some(base)) = (depth, self.better_base(&stage, &from)) {
+                stage = self.stage(&base);
+                (search.base, from) = (base.clone(), base);
+            }
             let done = |stage: &Stage, base: &Trial| {
                 stage.finalists.first().is_some_and(|best| {
                     best.share_left(base) < enough
