@@ -9,4 +9,5 @@ pub mod problem;
 pub mod refit;
 pub mod response;
 pub mod spectral;
+mod table;
 pub mod together;

@@ -7,7 +7,6 @@
 //! frequency where their noises are equal (a Wiener filter, zero phase).
 
 use super::kinematics::{self, Instruments, Tolerances};
-use super::periodic::{periodic, smooth, white_variance};
 use super::spectral::{Spectrum, white_noise_rms};
 use super::together::Source;
 use crate::record::{Kind, Record};
@@ -146,37 +145,6 @@ impl Motion {
             count += window.range.len();
         }
         (sum / count.max(1) as f64).sqrt()
-    }
-
-    /// What drives a simulation has no noise where the table moves periodically. Elsewhere, and where impacts kick the table, slow
-    /// noise is taken out by its displacement.
-    fn remove_noise_of_the_table(&mut self, table_displacement_m: &[f64]) {
-        if self.kind != Kind::Base {
-            return;
-        }
-        let rate = self.sample_rate_hz;
-        for window in &mut self.windows {
-            let range = window.warm_from..window.range.end;
-            let Some(found) = periodic(&self.drive_m_s2[range.clone()], window.frequency_hz, rate) else {
-                window.drive_noise_m_s2 = white_variance(&self.drive_m_s2[range]).sqrt();
-                continue;
-            };
-            let noisy =
-                if found.white { found.still.iter().filter(|still| !**still).count() } else { range.len() };
-            window.drive_noise_m_s2 = found.noise() * (noisy as f64 / range.len() as f64).sqrt();
-            let beside = table_displacement_m.get(range.clone()).and_then(|x| found.beside(x));
-            let rest = match beside {
-                Some((x, noise_m)) => fuse(&x, noise_m, &found.rest, found.noise(), rate).acceleration_m_s2,
-                None if !found.white => continue,
-                None => found.rest,
-            };
-            // A solver takes long steps where what drives it is smooth; the impulse of a kick is what counts.
-            let rest = smooth(&smooth(&rest));
-            let of_wave = found.wave.iter().zip(&rest).zip(&found.still);
-            let drive =
-                of_wave.map(|((wave, rest), still)| if found.white && *still { *wave } else { wave + rest });
-            self.drive_m_s2[range].iter_mut().zip(drive).for_each(|(to, drive)| *to = drive);
-        }
     }
 
     /// Accelerations average to the change of velocity over the duration: what a window shows
@@ -319,10 +287,10 @@ fn component(record: &Record) -> Result<Motion, MotionError> {
 }
 
 /// Displacement and its derivatives with their noise.
-struct Fused {
+pub(super) struct Fused {
     displacement_m: Vec<f64>,
     velocity_m_s: Vec<f64>,
-    acceleration_m_s2: Vec<f64>,
+    pub(super) acceleration_m_s2: Vec<f64>,
     displacement_noise_m: f64,
     velocity_noise_m_s: f64,
     acceleration_noise_m_s2: f64,
@@ -353,7 +321,7 @@ impl Fused {
 }
 
 /// Wiener fusion: weight of the displacement `1/(1 + (w/wc)^4)`, `wc = (sa/sd)^(1/2)`.
-fn fuse(displacement: &[f64], sd: f64, acceleration: &[f64], sa: f64, rate: f64) -> Fused {
+pub(super) fn fuse(displacement: &[f64], sd: f64, acceleration: &[f64], sa: f64, rate: f64) -> Fused {
     let crossover = (sa.max(1e-300) / sd.max(1e-300)).sqrt();
     let low = |w: f64| 1.0 / (1.0 + (w / crossover).powi(4));
     let mut laser = Spectrum::of(displacement, rate);

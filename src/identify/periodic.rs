@@ -122,7 +122,7 @@ impl Periodic {
         (along && noise > 0.0).then(|| (displacement_m.iter().enumerate().map(at).collect(), noise))
     }
 
-    /// Noise of the channel, rms, by the differences of neighbours outside the kicks.
+    /// Noise of the channel, rms, by the differences of neighbours.
     pub fn noise(&self) -> f64 {
         white_variance(&self.rest).sqrt()
     }
@@ -159,7 +159,7 @@ pub fn smooth(channel: &[f64]) -> Vec<f64> {
 }
 
 /// Variance of white noise on a slow channel, by the differences of neighbours.
-pub fn white_variance(channel: &[f64]) -> f64 {
+fn white_variance(channel: &[f64]) -> f64 {
     let second = channel.windows(3).map(|x| (x[2] - 2.0 * x[1] + x[0]).powi(2)).sum::<f64>();
     second / (6 * channel.len()) as f64
 }

@@ -37,6 +37,8 @@ const COMMON: usize = 5;
 const STARTING: usize = 4;
 /// Noise of what drives a step below this share of the table's own is not followed.
 const QUIET: f64 = 0.1;
+/// Nor in a step of more half cycles than these: each takes a simulation.
+const OFFSETS: usize = 16;
 /// A second difference of the measured acceleration above so many times its noise is a jump, as where a damped contact begins:
 /// which of two samples it falls between is chance.
 const JUMP: f64 = 7.0;
@@ -203,7 +205,8 @@ impl<'a> Measured<'a> {
     /// Offsets of what drives a step: one in each half cycle, where it is noisy.
     fn offsets(&self, window: &Window) -> usize {
         let noisy = window.drive_noise_m_s2 > QUIET * self.table_noise_m_s2;
-        if noisy { 2 * (self.knots(window) - 1) } else { 0 }
+        let half_cycles = 2 * (self.knots(window) - 1);
+        if noisy && half_cycles <= OFFSETS { half_cycles } else { 0 }
     }
 
     /// Nuisances of a step that take a simulation to follow.

@@ -11,6 +11,7 @@ mod events;
 mod impose;
 mod runge_kutta;
 mod specimen;
+mod stretch;
 #[cfg(test)]
 mod tests;
 
