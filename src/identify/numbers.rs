@@ -83,10 +83,14 @@ impl Numbers {
         }
     }
 
-    /// Adds the parameters of an effect that is already in the model at `index`.
+    /// Adds the parameters of an effect that is already in the model at `index`; none of an instrument.
     pub fn add_effect(&mut self, spec: &ModelSpec, index: usize, scales: &Scales) {
         let Some(given) = spec.effects.get(index) else { return };
         let Ok(effect) = effects::find(&given.name) else { return };
+        // An instrument is told by the kinematics, which have taken it out of the motion: nothing here sees it.
+        if effect.is_instrument() {
+            return;
+        }
         if effect.place == Place::User {
             given.parameters.iter().for_each(|(name, value)| self.add_own(index, name, *value));
             return;
