@@ -1,18 +1,24 @@
 //! Study of the diagnosis on records with a hidden effect: makes cases from seeds, diagnoses each,
 //! prints one line a case (tab separated) and a summary: verdicts, how many 95 % intervals hold the truth where it was named,
-//! held-out error over noise floor. Never quote seeds that were developed on.
+//! held-out error over noise floor. With `--told true` wrong verdicts are laid beside the specimen itself. Never quote seeds that were developed on.
 //!
 //! `cargo run --release -p hil-tests --example hidden -- blind --seeds 1000..1200 --size 0.05 --noise 1`
 
 use hil_tests::hidden::{self, Hidden, Recipe};
-use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose};
+use shaketable::diagnose::search::{Effort, Searcher};
+use shaketable::diagnose::trial::Trial;
+use shaketable::diagnose::verdict::{self, Thresholds};
+use shaketable::diagnose::{Diagnosis, Options, Verdict, candidates, diagnose};
+use shaketable::identify::kinematics::Tolerances;
+use shaketable::identify::motion::Motion;
 use shaketable::model::effects;
 use std::collections::BTreeMap;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut words = std::env::args().skip(1);
     let study = words.next().unwrap_or_else(|| "blind".to_owned());
-    let (mut seeds, mut size, mut noise, mut only, mut verbose) = (0..20u64, 0.05, 1.0, None, false);
+    let (mut seeds, mut size, mut noise, mut only) = (0..20u64, 0.05, 1.0, None);
+    let (mut verbose, mut told) = (false, false);
     while let Some(word) = words.next() {
         let value = words.next().ok_or("a value is missing")?;
         match word.as_str() {
@@ -23,6 +29,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             "--size" => size = value.parse()?,
             "--noise" => noise = value.parse()?,
             "--verbose" => verbose = value.parse()?,
+            "--told" => told = value.parse()?,
             "--only" => only = Some(value),
             other => return Err(format!("unknown argument {other}").into()),
         }
@@ -94,6 +101,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             for refused in found.refused.iter().take(6) {
                 println!("\t\t{}: {}", refused.name, refused.reason);
             }
+            if told {
+                tell(&case, &effects);
+            }
         }
         println!(
             "{seed}\t{}\t{}\t{}\t[{}]\t~[{}]\tbefore {:.4} refit {:.4} after {:.4} floor {:.4} left {:.3}\t{:.1} s\t{}",
@@ -132,6 +142,42 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         quantile(0.9),
     );
     Ok(())
+}
+
+/// What the specimen itself brings when the fit starts at it, beside what the search found: nats over the base model. Tells a
+/// fit that did not arrive from a record that does not tell.
+fn tell(case: &Hidden, effects: &[&'static str]) {
+    let Ok(motion) = Motion::of(&case.record, case.nominal.mass_kg, Tolerances::default()) else { return };
+    let searcher = Searcher::new(&motion, &case.nominal, Effort::default());
+    let Some(search) = searcher.search(&case.nominal, Thresholds::default()) else { return };
+    let base = &search.base;
+    let mut itself = base.clone();
+    itself.names = effects.iter().map(|name| (*name).to_owned()).collect();
+    itself.refit.spec = case.truth.clone();
+    let scales = candidates::scales(&base.refit.spec, &motion);
+    for index in 0..case.truth.effects.len() {
+        itself.refit.numbers.add_effect(&case.truth, index, &scales);
+    }
+    let mut exactly = itself.clone();
+    exactly.refit.numbers = Default::default();
+    let (itself, exactly) = (searcher.finish(&itself), searcher.finish(&exactly));
+    println!("\t\t{:?} {:?}", case.truth.isolator, case.truth.bumper);
+    let line = |trial: &Trial| {
+        println!(
+            "\t\t  {:?}: {:.1} nats ({:.1} on held-out steps), excess {:.4}, colour {:.2}, zero {:.1e}, {:?}",
+            trial.names,
+            verdict::apart(trial, base),
+            verdict::gain(trial, base),
+            trial.excess(),
+            trial.response.as_ref().map_or(0.0, |r| r.colour()),
+            trial.refit.zero_m,
+            trial.refit.fit.values,
+        );
+    };
+    println!("\t\tthe specimen itself, the base model and what was found:");
+    exactly.iter().chain(&itself).for_each(line);
+    line(base);
+    search.stages.iter().flat_map(|stage| &stage.finalists).for_each(line);
 }
 
 /// Intervals that hold the truth, of how many.

@@ -103,33 +103,28 @@ impl ContactLaw {
         if tip > 0.0 && viscous > 0.0 { -self.elastic_n(tip) / viscous } else { 0.0 }
     }
 
-    /// A free tip of a nonlinear law: in closed form where there is one, which is wherever a single nonlinear
-    /// part stands in the law.
+    /// A free tip of a nonlinear law.
     fn relaxed_nonlinear_m(&self, tip: f64, after_s: f64) -> f64 {
         if self.viscous_n_s_m(tip) == 0.0 {
             return 0.0;
         }
-        let parts = [self.hertz, self.cubic_n_m3, self.hunt_crossley_n_s_m2, self.preload_n];
-        let x = match parts.map(|part| part != 0.0) {
-            _ if !self.relaxes_in_closed_form() => self.relaxed_by_steps_m(tip, after_s),
-            [true, ..] => self.relaxed_power_m(tip, after_s),
-            [_, true, ..] => self.relaxed_cubic_m(tip, after_s),
-            _ => self.relaxed_viscous_m(tip, after_s),
-        };
+        let x = self.closed_form().unwrap_or(Self::relaxed_by_steps_m)(self, tip, after_s);
         if x <= self.smallest_m(tip) { 0.0 } else { x }
     }
 
     /// Whether a free tip relaxes by a closed form.
     pub fn relaxes_in_closed_form(&self) -> bool {
-        if self.is_linear() {
-            return true;
-        }
+        self.is_linear() || self.closed_form().is_some()
+    }
+
+    /// Closed form of a nonlinear law's free tip, which is there where a single nonlinear part stands in the law.
+    fn closed_form(&self) -> Option<fn(&Self, f64, f64) -> f64> {
         let parts = [self.hertz, self.cubic_n_m3, self.hunt_crossley_n_s_m2, self.preload_n];
         match parts.map(|part| part != 0.0) {
-            [true, false, false, false] => self.linear_n_m == 0.0,
-            [false, true, false, false] => self.linear_n_m > 0.0,
-            [false, false, true, false] => self.damping_n_s_m > 0.0,
-            _ => false,
+            [true, false, false, false] if self.linear_n_m == 0.0 => Some(Self::relaxed_power_m),
+            [false, true, false, false] if self.linear_n_m > 0.0 => Some(Self::relaxed_cubic_m),
+            [false, false, true, false] if self.damping_n_s_m > 0.0 => Some(Self::relaxed_viscous_m),
+            _ => None,
         }
     }
 

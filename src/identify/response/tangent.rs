@@ -14,6 +14,8 @@ pub struct Tangent<'b, 'a> {
     measured: &'b Measured<'a>,
     laid: &'b Laid,
     steps: Vec<Step<'a>>,
+    /// Their misfits.
+    misfits: Vec<Vec<f64>>,
     own: Vec<Eliminated>,
     gradient: DVector<f64>,
     inverse: DMatrix<f64>,
@@ -41,7 +43,11 @@ impl<'a> Measured<'a> {
         let scaled = DMatrix::from_fn(free.len(), free.len(), |i, j| normal[(i, j)] * scale[i] * scale[j]);
         let inverse = scaled.cholesky()?.inverse();
         let inverse = DMatrix::from_fn(free.len(), free.len(), |i, j| inverse[(i, j)] * scale[i] * scale[j]);
-        Some(Tangent { measured: self, laid, steps, own: system.own, gradient, inverse })
+        let common = &laid.values[laid.values.len() - COMMON..];
+        let misfit =
+            |(step, own): (&Step<'_>, &Vec<f64>)| self.misfit(step.window, &step.simulated, common, own);
+        let misfits = steps.iter().zip(&laid.nuisances).map(misfit).collect();
+        Some(Tangent { measured: self, laid, steps, misfits, own: system.own, gradient, inverse })
     }
 }
 
@@ -69,13 +75,12 @@ impl Tangent<'_, '_> {
         let (mut square, mut slope) = (0.0, 0.0);
         let (mut power, mut count) = (0.0, 0usize);
         let mut mixed = DVector::zeros(self.gradient.len());
-        let steps = self.steps.iter().zip(&self.own).zip(&self.laid.nuisances);
-        for ((step, own), nuisances) in steps {
+        let steps = self.steps.iter().zip(&self.misfits).zip(&self.own).zip(&self.laid.nuisances);
+        for (((step, before), own), nuisances) in steps {
             let weight = own.weight;
             let simulated = measured.simulate(&mut specimens, step.window, common[0], nuisances);
             let mut changed = measured.misfit(step.window, &simulated, common, nuisances);
-            let before = measured.misfit(step.window, &step.simulated, common, nuisances);
-            changed.iter_mut().zip(&before).for_each(|(c, r)| *c -= r);
+            changed.iter_mut().zip(before).for_each(|(c, r)| *c -= r);
             let large = step.residuals[..simulated.len()].iter().enumerate().filter(|(_, r)| r.abs() > HUBER);
             large.for_each(|(i, r)| changed[i] *= HUBER / r.abs());
             if changed.iter().any(|c| !c.is_finite()) {

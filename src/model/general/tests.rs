@@ -141,7 +141,8 @@ fn steps_over_many_samples_are_the_steps_from_sample_to_sample() {
             .zip(&stepped)
             .map(|(a, b)| (a.relative_displacement_m - b.relative_displacement_m).abs());
         let worst = apart.fold(0.0, f64::max);
-        println!("{name}: {worst} m");
-        //assert!(worst < 1e-7, "{name}: {worst} m");
+        // Iwan's force is a power of the distance from a reversal: its slope has no bound there.
+        let most = if name == "iwan-hysteresis" { 3e-7 } else { 5e-8 };
+        assert!(worst < most, "{name}: {worst} m");
     }
 }
