@@ -38,6 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut tally: BTreeMap<&str, usize> = BTreeMap::new();
     let (mut cases, mut base, mut effect) = (0, Coverage::default(), Coverage::default());
     let mut over_floor: Vec<f64> = Vec::new();
+    let mut deviations: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     for seed in seeds {
         let effects: Vec<&'static str> = match (study.as_str(), &only) {
             ("healthy" | "outside", _) => vec![],
@@ -92,11 +93,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         *tally.entry(found.verdict.name()).or_default() += 1;
         if right {
             let (own, of_effects) = (base_intervals(&found, &case), effect_intervals(&found, &case));
-            own.into_iter().for_each(|inside| base.count(inside));
+            own.into_iter().for_each(|(key, off)| {
+                base.count(off.abs() <= 1.96);
+                let of_key: &mut Vec<f64> = deviations.entry(key).or_default();
+                of_key.push(off);
+            });
             of_effects.into_iter().for_each(|inside| effect.count(inside));
             over_floor.push(found.error_after / found.noise_floor);
         }
-        if !right || verbose {
+        if !right || verbose || found.effects.len() > effects.len().max(1) {
             println!("\t\tspecimen: {:?}", case.truth.effects);
             for refused in found.refused.iter().take(6) {
                 println!("\t\t{}: {}", refused.name, refused.reason);
@@ -132,6 +137,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
     }
     println!("{cases} cases: {tally:?}");
+    for (key, off) in &deviations {
+        let rms = (off.iter().map(|x| x * x).sum::<f64>() / off.len() as f64).sqrt();
+        let inside = off.iter().filter(|x| x.abs() <= 1.96).count();
+        println!(
+            "{key}: {inside} of {} intervals hold the truth; rms {rms:.2} standard deviations",
+            off.len()
+        );
+    }
     over_floor.sort_by(f64::total_cmp);
     let quantile =
         |q: f64| over_floor.get((q * over_floor.len() as f64) as usize).copied().unwrap_or(f64::NAN);
@@ -178,6 +191,11 @@ fn tell(case: &Hidden, effects: &[&'static str]) {
     exactly.iter().chain(&itself).for_each(line);
     line(base);
     search.stages.iter().flat_map(|stage| &stage.finalists).for_each(line);
+    println!("\t\t  shapes: {:?}", searcher.shaped(base, search.best()));
+    for trial in [base, search.best()] {
+        let shape = searcher.shape_left(trial).map(|shape| (shape.expression, shape.nats));
+        println!("\t\t  beside {:?}: {shape:?}", trial.names);
+    }
 }
 
 /// Intervals that hold the truth, of how many.
@@ -200,11 +218,14 @@ impl std::fmt::Display for Coverage {
     }
 }
 
-/// Whether each interval of the model's own numbers holds the truth.
-fn base_intervals(found: &Diagnosis, case: &Hidden) -> Vec<bool> {
+/// How far each of the model's own numbers is from the truth, in standard deviations as its interval has them.
+fn base_intervals(found: &Diagnosis, case: &Hidden) -> Vec<(String, f64)> {
     let own = found.reidentified.iter().filter(|n| !n.key.starts_with("effect["));
-    own.filter_map(|n| case.truth.get(&n.key).ok().map(|truth| n.low95 <= truth && truth <= n.high95))
-        .collect()
+    own.filter_map(|n| {
+        let truth = case.truth.get(&n.key).ok()?;
+        Some((n.key.clone(), 3.92 * (n.value - truth) / (n.high95 - n.low95)))
+    })
+    .collect()
 }
 
 /// The same of the parameters of the effects that were named rightly.

@@ -51,7 +51,7 @@ pub const FOREIGN: [(&str, &str); 6] = [
     ("force on one side only", "f*max(d/dm, 0)^2"),
     ("damping that grows with D", "f*(d/dm)^2*(v/vm)"),
     ("cubic damping", "f*(v/vm)^3"),
-    ("friction over a stretch", "f*tanh(20*v/vm)*exp(-(6*d/dm-3)^2)"),
+    ("friction over a stretch", "f*tanh(20*v/vm)*exp(0-(6*d/dm-3)^2)"),
     ("force that swells", "f*(d/dm)*sin(0.35*t)"),
 ];
 

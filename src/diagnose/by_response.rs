@@ -7,7 +7,7 @@ use super::trial::{self, Trial};
 use super::verdict;
 use crate::identify::least_squares::Settings;
 use crate::identify::refit::Refit;
-use crate::identify::response::{Laid, Measured};
+use crate::identify::response::{Laid, Measured, Score, Tangent};
 use crate::model::effects::Effect;
 use crate::model::{EffectSpec, ModelSpec, Scales};
 use crate::parallel;
@@ -87,35 +87,16 @@ impl Searcher<'_> {
     ) -> Vec<Trial> {
         let Some(response) = &from.response else { return Vec::new() };
         let (spec, laid) = (&from.refit.spec, &response.training);
-        let with = |start: &EffectSpec| {
-            let mut with = spec.clone();
-            with.effects.push(start.clone());
-            with
-        };
+        let with = |start: &EffectSpec| candidates::beside(spec, start);
         let mut first: Vec<(f64, ModelSpec)> = Vec::new();
         if let Some(tangent) = measured.tangent(spec, &from.refit.numbers, laid) {
             let starts: Vec<EffectSpec> =
                 effects.iter().flat_map(|e| candidates::starts(e, scales)).collect();
             let scored = parallel::map(&starts, parallel::cores(), |start| {
-                let (mut start, mut score) = (start.clone(), tangent.score(&with(start))?);
-                // Fainter, where it is too much for first order; not where it gets no fainter.
-                for _ in 0..FAINTER {
-                    if score.change < FAINT {
-                        break;
-                    }
-                    let fainter = candidates::fainter(&start, 0.5 * FAINT / score.change, scales)?;
-                    match tangent.score(&with(&fainter)) {
-                        Some(of) if of.change < 0.7 * score.change => (start, score) = (fainter, of),
-                        _ => break,
-                    }
-                }
+                let fainter = |start: &EffectSpec, factor: f64| candidates::fainter(start, factor, scales);
+                let (start, score) = to_first_order(&tangent, start.clone(), with, fainter)?;
                 let (scaled, scale) = candidates::scaled(&start, score.scale, scales)?;
-                let mut spec = with(&scaled);
-                let moved = laid.values.iter().zip(&score.followed).map(|(x, f)| x + f * scale);
-                // The model's own numbers follow, within their bounds.
-                let free = &from.refit.numbers.free;
-                let moved: Vec<f64> = moved.zip(free).map(|(x, f)| x.clamp(f.bounds.0, f.bounds.1)).collect();
-                from.refit.numbers.put(&moved, &mut spec).then_some((score.nats, spec))
+                Some((score.nats, follow(from, with(&scaled), &score, scale)?))
             });
             first = scored.into_iter().flatten().collect();
             first.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -173,6 +154,41 @@ impl Searcher<'_> {
         best_first(&mut finalists, from);
         finalists
     }
+}
+
+/// A model with a scaled effect more, its own numbers following within their bounds.
+pub(super) fn follow(from: &Trial, mut spec: ModelSpec, score: &Score, scale: f64) -> Option<ModelSpec> {
+    let mut numbers = from.refit.numbers.clone();
+    numbers.start_from(&spec);
+    let moved = numbers.free.iter().zip(&score.followed);
+    let moved: Vec<f64> =
+        moved.map(|(free, by)| (free.start + by * scale).clamp(free.bounds.0, free.bounds.1)).collect();
+    numbers.put(&moved, &mut spec).then_some(spec)
+}
+
+/// What a start brings, made fainter where it is too much for first order.
+pub(super) fn to_first_order(
+    tangent: &Tangent<'_, '_>,
+    mut start: EffectSpec,
+    with: impl Fn(&EffectSpec) -> ModelSpec,
+    fainter: impl Fn(&EffectSpec, f64) -> Option<EffectSpec>,
+) -> Option<(EffectSpec, Score)> {
+    let mut score = tangent.score(&with(&start))?;
+    // A stand is another one when it is fainter: its frequency goes with its stiffness.
+    let given = start.name == "stand-compliance";
+    for _ in 0..if given { 0 } else { FAINTER } {
+        if score.change < FAINT {
+            break;
+        }
+        let weaker = fainter(&start, 0.5 * FAINT / score.change)?;
+        match tangent.score(&with(&weaker)) {
+            Some(of) if of.change < 0.7 * score.change => (start, score) = (weaker, of),
+            _ => break,
+        }
+    }
+    let again = tangent.score_again(&with(&start), &score);
+    let score = again.filter(|of| of.change < score.change).unwrap_or(score);
+    Some((start, score))
 }
 
 /// Keeps the first so many of each effect that was added last, of one with two numbers or less the first.

@@ -1,7 +1,7 @@
 //! Which effects are tried, and from where their parameters start.
 
 use crate::identify::motion::Motion;
-use crate::model::effects::{self, Effect, Place, Sign};
+use crate::model::effects::{self, Effect, Parameter, Place, Sign};
 use crate::model::{EffectSpec, ModelSpec, Scales};
 use crate::record::Kind;
 
@@ -66,31 +66,68 @@ pub fn scales(spec: &ModelSpec, motion: &Motion) -> Scales {
     scales
 }
 
-/// A start whose leading parameter is scaled, within what it may be, and by how much it was; `None` when its sign forbids it.
+/// A start whose effect is scaled, within what its leading parameter may be, and by how much it was; `None` when its sign
+/// forbids it.
 pub fn scaled(start: &EffectSpec, factor: f64, scales: &Scales) -> Option<(EffectSpec, f64)> {
     let effect = effects::find(&start.name).ok()?;
     let leading = (effect.parameters)(scales).into_iter().find(|p| p.default.is_none())?;
-    let mut spec = start.clone();
-    let value = spec.parameters.get_mut(leading.name)?;
-    if leading.sign == Sign::Positive && factor <= 0.0 {
+    if leading.sign != Sign::Either && factor <= 0.0 {
         return None;
+    }
+    if effect.name == "hertz-contact" {
+        let factor = factor.min((MOST_BENT - 1.0) / (start.parameters.get("n")? - 1.0).max(1e-9));
+        return Some((grown(start, &leading, factor, scales)?, factor));
     }
     let (low, high) = leading.prior;
     let most = (3.0 * high.abs()).min(leading.at_most);
     let least = if leading.sign == Sign::Either { -most } else { (0.1 * low).max(1e-6 * high.abs()) };
-    let before = *value;
-    *value = (before * factor).clamp(least.min(most), most);
-    let by = *value / before;
+    let before = *start.parameters.get(leading.name)?;
+    let mut spec = grown(start, &leading, factor, scales)?;
+    let value = spec.parameters.get_mut(leading.name)?;
+    *value = value.clamp(least.min(most), most);
+    let by = if leading.in_series { before / *value } else { *value / before };
     by.is_finite().then_some((spec, by))
 }
 
-/// A start with its leading parameter made smaller.
+/// Largest exponent of a contact that a fit starts from.
+const MOST_BENT: f64 = 3.0;
+
+/// A start that does less.
 pub fn fainter(start: &EffectSpec, factor: f64, scales: &Scales) -> Option<EffectSpec> {
     let effect = effects::find(&start.name).ok()?;
     let leading = (effect.parameters)(scales).into_iter().find(|p| p.default.is_none())?;
+    grown(start, &leading, factor, scales)
+}
+
+/// A start whose effect is so many times as strong.
+fn grown(start: &EffectSpec, leading: &Parameter, factor: f64, scales: &Scales) -> Option<EffectSpec> {
     let mut spec = start.clone();
-    *spec.parameters.get_mut(leading.name)? *= factor;
+    if let ("hertz-contact", Some(p)) = (start.name.as_str(), scales.penetration_m) {
+        // In place of the bumper's line, as stiff as it at the usual penetration: its exponent bends it.
+        let n = 1.0 + (start.parameters.get("n")? - 1.0) * factor;
+        spec.parameters.insert("n".to_owned(), n);
+        spec.parameters.insert("kh".to_owned(), scales.contact_stiffness_n_m() * p.powf(1.0 - n));
+        return Some(spec);
+    }
+    let value = spec.parameters.get_mut(leading.name)?;
+    *value = if leading.in_series { *value / factor } else { *value * factor };
     Some(spec)
+}
+
+/// A model with an effect more, its own numbers such that it does about the same: a bumper on a stand is stiffer by what the
+/// stand gives way.
+pub fn beside(spec: &ModelSpec, start: &EffectSpec) -> ModelSpec {
+    let mut with = spec.clone();
+    with.effects.push(start.clone());
+    if let ("stand-compliance", Some(bumper), Some(&stand)) =
+        (start.name.as_str(), &mut with.bumper, start.parameters.get("ks_n_m"))
+    {
+        // Springs in series, the stand no softer than twice both together; the loss of the bumper's share of the motion.
+        let stiffer = 1.0 / (1.0 - bumper.stiffness_n_m / stand.max(2.0 * bumper.stiffness_n_m));
+        bumper.stiffness_n_m *= stiffer;
+        bumper.damping_n_s_m *= stiffer * stiffer;
+    }
+    with
 }
 
 /// Starts spread over the prior ranges of an effect with three numbers or more.
@@ -136,6 +173,18 @@ pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
             spec.parameters.insert("kh".to_owned(), linear * p.powf(1.0 - n));
             spec.parameters.insert("n".to_owned(), n);
             spec
+        }));
+    }
+    if effect.name == "stand-compliance" {
+        // How it shows depends on both numbers together.
+        let linear = scales.contact_stiffness_n_m();
+        out.extend([4.0, 8.0, 16.0].into_iter().flat_map(|stiffer| {
+            [0.005, 0.01, 0.02, 0.04, 0.08].map(|share| {
+                let mut spec = effect.starting_spec(scales);
+                spec.parameters.insert("ks_n_m".to_owned(), stiffer * linear);
+                spec.parameters.insert("ms_kg".to_owned(), share * scales.mass_kg);
+                spec
+            })
         }));
     }
     out

@@ -109,7 +109,8 @@ pub fn diagnose_together(
     let diverges = || DiagnoseError::Diverges { name: nominal.name.clone() };
     let search = searcher.search(nominal, options.thresholds).ok_or_else(diverges)?;
     let structure = |trial: &Trial| structure::examine(searcher.problem(), &trial.refit).unwrap_or_default();
-    let decision = verdict::decide(&search, structure, options.thresholds);
+    let shaped = |taken: &Trial| searcher.shaped(&search.base, taken);
+    let decision = verdict::decide(&search, structure, shaped, options.thresholds);
     let mut out = Composer { tests, nominal, options, motion: &motion, searcher: &searcher }
         .compose(&search, decision, &findings)
         .ok_or_else(diverges)?;
@@ -129,9 +130,8 @@ impl Composer<'_> {
     fn compose(&self, search: &Search, decision: Decision, findings: &[Finding]) -> Option<Diagnosis> {
         let problem = self.searcher.problem();
         let chosen = &decision.chosen;
-        let all = |p: &Problem<'_>, refit: &Refit| p.output_errors(&refit.spec, refit.zero_m, Part::All);
         // Response of both ends of the ladder, simulated once.
-        let (with, without) = (all(problem, &chosen.refit)?, all(problem, &search.base.refit));
+        let (with, without) = (self.searcher.errors(chosen)?, self.searcher.errors(&search.base));
         let after = problem.sum(&with, Part::HeldOut)?;
         // As given means as measured: instruments uncorrected.
         let raw = if findings.is_empty() { None } else { self.raw_motion() };
@@ -140,10 +140,11 @@ impl Composer<'_> {
             .map(|motion| Problem::new(motion, self.nominal, self.options.effort.fitting_samples));
         let before_problem = raw_problem.as_ref().unwrap_or(problem);
         let reidentified = match &raw_problem {
-            Some(raw) => all(
-                raw,
-                &trial::base(raw, self.nominal, Some(&search.base.refit), self.searcher.stride())?.refit,
-            ),
+            Some(raw) => {
+                let base =
+                    trial::base(raw, self.nominal, Some(&search.base.refit), self.searcher.stride())?.refit;
+                raw.output_errors(&base.spec, base.zero_m, Part::All)
+            }
             None => without.clone(),
         };
         let rung = |model: &str, p: &Problem<'_>, errors: Option<&[(usize, OutputError)]>| {
@@ -164,8 +165,11 @@ impl Composer<'_> {
         for stage in &search.stages {
             if let Some(trial) = stage.finalists.iter().find(|t| chosen.names.starts_with(&t.names)) {
                 let label = format!("+ {}", verdict::last_name(trial));
-                let own =
-                    if trial.names == chosen.names { Some(with.clone()) } else { all(problem, &trial.refit) };
+                let own = if trial.names == chosen.names {
+                    Some(with.clone())
+                } else {
+                    self.searcher.errors(trial)
+                };
                 ladder.push(rung(&label, problem, own.as_deref()));
             }
         }
@@ -238,7 +242,7 @@ impl Composer<'_> {
                 .iter()
                 .flat_map(|s| &s.finalists)
                 .find(|t| t.names == chosen.names[..=i])
-                .and_then(|t| problem.output_error(&t.refit.spec, t.refit.zero_m, Part::HeldOut));
+                .and_then(|t| problem.sum(&self.searcher.errors(t)?, Part::HeldOut));
             out.push(NamedEffect {
                 name: name.clone(),
                 probability,

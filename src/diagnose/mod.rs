@@ -11,6 +11,7 @@ pub mod missing_force;
 pub mod next_test;
 pub mod report;
 pub mod search;
+pub mod shapes;
 pub mod structure;
 #[cfg(test)]
 pub(crate) mod testing;

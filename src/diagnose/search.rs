@@ -6,7 +6,7 @@ use super::trial::{self, Trial};
 use super::verdict::{self, Thresholds};
 use crate::identify::least_squares::Settings;
 use crate::identify::motion::Motion;
-use crate::identify::problem::{NARROW, Part, Problem, WIDE};
+use crate::identify::problem::{NARROW, OutputError, Part, Problem, WIDE};
 use crate::identify::refit::{Domain, Refit};
 use crate::identify::response::Measured;
 use crate::model::effects::{self, Effect};
@@ -115,6 +115,19 @@ impl<'a> Searcher<'a> {
     /// The problem with the finer thinning.
     pub fn problem(&self) -> &Problem<'a> {
         &self.fitting
+    }
+
+    /// Errors of the simulated response step by step, each with the number of its window: with what belongs to each step estimated
+    /// where the response was fitted, else from the measured start.
+    pub fn errors(&self, trial: &Trial) -> Option<Vec<(usize, OutputError)>> {
+        let (spec, problem) = (&trial.refit.spec, &self.fitting);
+        let (Some(measured), Some(response)) = (&self.measured, &trial.response) else {
+            return problem.output_errors(spec, trial.refit.zero_m, Part::All);
+        };
+        let mut errors = measured.errors(spec, Part::Training, &response.training)?;
+        errors.extend(measured.errors(spec, Part::HeldOut, &response.held_out)?);
+        errors.sort_by_key(|(k, _)| *k);
+        Some(errors)
     }
 
     /// Every so many samples count in the output domain.

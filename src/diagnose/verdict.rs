@@ -2,6 +2,7 @@
 
 use super::candidates::contained_in;
 use super::search::Search;
+use super::shapes::Shaped;
 use super::structure::Structure;
 use super::trial::{Trial, schwarz_nats};
 use serde::Serialize;
@@ -119,8 +120,13 @@ fn evidence(trial: &Trial, from: &Trial) -> f64 {
 const STRUCTURED: f64 = 0.2;
 const UNMISTAKABLE: f64 = 0.5;
 
-/// Decides; `structure` examines what a trial leaves.
-pub fn decide(search: &Search, structure: impl Fn(&Trial) -> Structure, thresholds: Thresholds) -> Decision {
+/// Decides; `structure` examines what a trial leaves of the force, `shaped` what forces of some shape would bring.
+pub fn decide(
+    search: &Search,
+    structure: impl Fn(&Trial) -> Structure,
+    shaped: impl Fn(&Trial) -> Shaped,
+    thresholds: Thresholds,
+) -> Decision {
     let base = &search.base;
     let mut taken = base.clone();
     let mut refused = Vec::new();
@@ -160,7 +166,7 @@ pub fn decide(search: &Search, structure: impl Fn(&Trial) -> Structure, threshol
     let share = taken.share_left(base);
     let left = if seen { share.min(structure(&taken).explained / of_base.max(1e-300)) } else { share };
     let verdict = if taken.response.is_some() {
-        by_response(&taken, &ambiguous_with, thresholds)
+        by_response(&taken, shaped(&taken), &ambiguous_with, thresholds)
     } else if taken.names.is_empty() {
         // Nothing in the catalogue helps; is anything left at all?
         let structured = of_base > STRUCTURED * excess || excess > UNMISTAKABLE;
@@ -178,9 +184,14 @@ pub fn decide(search: &Search, structure: impl Fn(&Trial) -> Structure, threshol
 /// A further effect has to bring so many times what the first has to.
 const FURTHER: f64 = 3.0;
 
+/// A shape has to do better than what was taken by so much more than a rival from the catalogue: it is the best of many.
+const OF_MANY: f64 = 4.0;
+
 /// The verdict where the simulated response decides.
-fn by_response(taken: &Trial, ambiguous_with: &[String], thresholds: Thresholds) -> Verdict {
-    if taken.excess() > thresholds.structure {
+fn by_response(taken: &Trial, shaped: Shaped, ambiguous_with: &[String], thresholds: Thresholds) -> Verdict {
+    let most = if taken.names.is_empty() { 1.0 } else { FURTHER } * thresholds.response[1];
+    let better = shaped.instead > thresholds.tie + OF_MANY;
+    if taken.excess() > thresholds.structure || shaped.beside > most || better {
         Verdict::OutsideCatalogue
     } else if taken.names.is_empty() {
         Verdict::Adequate

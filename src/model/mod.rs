@@ -88,6 +88,15 @@ pub trait Specimen: Send {
         table_acceleration_m_s2.iter().for_each(|table| visit(&self.step(*table)));
     }
 
+    /// States that forget the motion by a power law, slower than any start in the middle of a record has time for; none in most
+    /// models. The same in all models that have any: they do not depend on their parameters.
+    fn memory(&self) -> Vec<f64> {
+        Vec::new()
+    }
+
+    /// Puts such states in.
+    fn recall(&mut self, _memory: &[f64]) {}
+
     /// Moves the mass along an imposed motion by one sample interval (relative displacement m and
     /// velocity m/s at its end): hidden states (bumper tips, hysteresis, friction) follow. The
     /// response holds the imposed motion and, as `mass_acceleration_m_s2`, minus the restoring

@@ -80,6 +80,11 @@ pub trait Term: Send {
     /// motion needs no step control. Called for terms with states.
     fn follow(&self, _from: &Point, _to: &Point, _state: &mut [f64]) {}
 
+    /// Its states forget by a power law; they depend on the motion alone, not on what the term's parameters are.
+    fn remembers(&self) -> bool {
+        false
+    }
+
     /// Needs reversals of the motion as events.
     fn turns(&self) -> bool {
         false

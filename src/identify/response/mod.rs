@@ -15,11 +15,12 @@ pub use tangent::{Score, Tangent};
 use super::least_squares::{Free, dot};
 use super::motion::{Motion, Window};
 use super::numbers::Numbers;
-use super::problem::{DRIFT, DRIFT_MEMORY, Part};
+use super::problem::{DRIFT, DRIFT_MEMORY, OutputError, Part};
 use super::refit::{with_zero, zero_sigma_m};
 use super::together::Source;
-use crate::model::{self, ModelSpec, Specimen};
+use crate::model::{self, EffectSpec, IsolatorSpec, ModelSpec, Specimen};
 use nalgebra::{DMatrix, DVector};
+use std::sync::{Arc, OnceLock};
 
 /// A step in which the mean square of the residuals is so many times that of the noise begins to count by its logarithm: one in
 /// which a stiff contact leads elsewhere does not rule the fit.
@@ -54,8 +55,6 @@ const AROUND: usize = 2;
 /// A change of a residual by more than this, in units of its noise, within the small difference of a slope is a jump that went
 /// over a sample.
 const OVER: f64 = 1.0;
-/// Motion that a power law has to remember before the cycles that come before a step, s.
-const LONG_MEMORY_S: f64 = 6.0;
 
 /// The measured response.
 #[derive(Clone)]
@@ -71,6 +70,8 @@ pub struct Measured<'a> {
     table_noise_m_s2: f64,
     /// Whether each sample of the acceleration counts.
     counts: Vec<bool>,
+    /// What a springpot remembers at the beginning of each window.
+    remembered: Arc<OnceLock<Vec<Vec<f64>>>>,
 }
 
 /// What is estimated in one step beside the model's numbers: start displacement, start velocity (against the measured
@@ -113,6 +114,8 @@ struct Specimens {
     each: Vec<Box<dyn Specimen>>,
     /// An effect forgets by a power law: slower than in the cycles before a step.
     remembers: bool,
+    /// The table moves otherwise than it is driven.
+    kicks: bool,
 }
 
 struct Step<'b> {
@@ -158,6 +161,7 @@ impl<'a> Measured<'a> {
                 .as_ref()
                 .map_or(motion.restoring_noise_m_s2, |i| i.table_noise_m_s2),
             counts: beside_jumps(&motion.restoring_m_s2, motion.restoring_noise_m_s2),
+            remembered: Arc::default(),
         })
     }
 
@@ -229,14 +233,11 @@ impl<'a> Measured<'a> {
         specimen.reset();
         let source = &motion.sources[window.source];
         let last = window.range.start.max(1) - 1;
-        let mut first = window.warm_from.min(last);
-        if specimens.remembers {
-            let longer = (LONG_MEMORY_S * motion.sample_rate_hz) as usize;
-            let earlier = first.saturating_sub(longer).max(source.first);
-            let crosses = |n: &usize| motion.displacement_m[n - 1] * motion.displacement_m[*n] <= 0.0;
-            first = (earlier + 1..first).find(crosses).unwrap_or(first);
-        }
+        let first = window.warm_from.min(last);
         specimen.set_time_s(source.time_s(first, motion.dt_s()));
+        if specimens.remembers {
+            specimen.recall(self.remembered(window));
+        }
         for n in first..last {
             specimen.impose(motion.displacement_m[n] + zero_m, motion.velocity_m_s[n]);
         }
@@ -255,10 +256,42 @@ impl<'a> Measured<'a> {
         specimen.prime(drive(last));
         let table: Vec<f64> = window.range.clone().map(drive).collect();
         let mut simulated = Simulated::with_capacity(table.len());
+        let mut velocity_m_s = Vec::with_capacity(table.len());
         specimen.run(&table, &mut |response| {
             simulated.push((response.mass_acceleration_m_s2, response.relative_displacement_m));
+            velocity_m_s.push(response.relative_velocity_m_s);
         });
+        if !specimens.kicks {
+            spread_jumps(&mut simulated, &velocity_m_s, &table, motion.sample_rate_hz);
+        }
         simulated
+    }
+
+    /// What a springpot remembers where the warming up of a step begins, the motion before it run through once.
+    fn remembered(&self, window: &Window) -> &[f64] {
+        let all = self.remembered.get_or_init(|| {
+            let motion = self.motion;
+            let mut states = Vec::with_capacity(motion.windows.len());
+            let mut walk: Option<(usize, usize, Box<dyn Specimen>)> = None;
+            for window in &motion.windows {
+                let (from, source) = (motion.sources[window.source].first, window.source);
+                let (at, mut specimen) = match walk.take() {
+                    Some((of, at, specimen)) if of == source && at <= window.warm_from => (at, specimen),
+                    _ => match springpot(motion.dt_s()) {
+                        Some(specimen) => (from, specimen),
+                        None => return Vec::new(),
+                    },
+                };
+                for n in at..window.warm_from {
+                    specimen.impose(motion.displacement_m[n], motion.velocity_m_s[n]);
+                }
+                states.push(specimen.memory());
+                walk = Some((source, window.warm_from.max(at), specimen));
+            }
+            states
+        });
+        let index = self.motion.windows.iter().position(|w| std::ptr::eq(w, window));
+        index.and_then(|index| all.get(index)).map_or(&[], Vec::as_slice)
     }
 
     /// Weights of the two knots beside a sample, and the left one's number.
@@ -381,8 +414,32 @@ impl<'a> Measured<'a> {
     fn specimens(&self, spec: &ModelSpec) -> Option<Specimens> {
         let sources = &self.motion.sources;
         let build = |source: &Source| model::build(&source.setting.of(spec), self.motion.dt_s()).ok();
-        let remembers = spec.effects.iter().any(|effect| effect.name == "fractional-damping");
-        Some(Specimens { each: sources.iter().map(build).collect::<Option<_>>()?, remembers })
+        let has = |name: &str| spec.effects.iter().any(|effect| effect.name == name);
+        let (remembers, kicks) = (has("fractional-damping"), has("table-interaction"));
+        Some(Specimens { each: sources.iter().map(build).collect::<Option<_>>()?, remembers, kicks })
+    }
+
+    /// Errors of A and D step by step with what is estimated beside the model taken out, samples beside jumps left out; each with
+    /// the number of its window.
+    pub fn errors(&self, spec: &ModelSpec, part: Part, laid: &Laid) -> Option<Vec<(usize, OutputError)>> {
+        let (motion, common) = (self.motion, &laid.values[laid.values.len() - COMMON..]);
+        let (_, steps) = self.lay(spec, part, &laid.values, &laid.nuisances)?;
+        let of = |((step, own), k): ((&Step<'_>, &Nuisances), &usize)| {
+            let misfit = self.misfit(step.window, &step.simulated, common, own);
+            let (of_a, of_d) = misfit.split_at(step.simulated.len());
+            let laser = &motion.laser_m[step.window.range.clone()];
+            let mean = laser.iter().sum::<f64>() / laser.len().max(1) as f64;
+            let mut error = OutputError::default();
+            for (i, n) in step.window.range.clone().enumerate().filter(|(_, n)| self.counts[*n]) {
+                error.sum_a += (motion.restoring_noise_m_s2 * of_a[i]).powi(2);
+                error.power_a += motion.restoring_m_s2[n].powi(2);
+                error.sum_d += (motion.laser_noise_m * of_d[i]).powi(2);
+                error.power_d += (laser[i] - mean).powi(2);
+                error.count += 1;
+            }
+            (*k, error)
+        };
+        Some(steps.iter().zip(&laid.nuisances).zip(self.windows(part)).map(of).collect())
     }
 
     /// What is left of the residuals of a part.
@@ -431,6 +488,43 @@ impl<'a> Measured<'a> {
             colour,
             median: means.get(means.len() / 2).copied().unwrap_or(f64::INFINITY),
         })
+    }
+}
+
+/// A specimen that is nothing but a springpot.
+fn springpot(dt_s: f64) -> Option<Box<dyn Specimen>> {
+    let isolator = IsolatorSpec { stiffness_n_m: vec![1.0], breakpoints_m: vec![], damping_n_s_m: 0.0 };
+    let parameters = [("ca".to_owned(), 1.0), ("alpha".to_owned(), 0.5)].into_iter().collect();
+    let spring = EffectSpec { name: "fractional-damping".into(), expression: None, parameters };
+    let spec = ModelSpec {
+        name: "springpot".into(),
+        mass_kg: 1.0,
+        isolator,
+        bumper: None,
+        effects: vec![spring],
+        uncertainty: None,
+    };
+    model::build(&spec, dt_s).ok()
+}
+
+/// A jump of the simulated acceleration, where a damped contact begins or friction turns, goes over from sample to sample when it
+/// comes earlier or later. So that the cost has no steps there, the acceleration of each sample is its mean over the samples
+/// beside it, which the velocities give however it runs between them, sharpened again by the second difference of those means (of
+/// fourth order where nothing jumps). The ends stay as they are.
+fn spread_jumps(simulated: &mut Simulated, velocity_m_s: &[f64], table_m_s2: &[f64], rate_hz: f64) {
+    let n = simulated.len();
+    if n < 5 {
+        return;
+    }
+    let mean = |i: usize| {
+        let table = 0.25 * (table_m_s2[i - 1] + 2.0 * table_m_s2[i] + table_m_s2[i + 1]);
+        0.5 * (velocity_m_s[i + 1] - velocity_m_s[i - 1]) * rate_hz + table
+    };
+    let mut beside = [mean(1), mean(2)];
+    for i in 2..n - 2 {
+        let after = mean(i + 1);
+        simulated[i].0 = (8.0 * beside[1] - beside[0] - after) / 6.0;
+        beside = [beside[1], after];
     }
 }
 

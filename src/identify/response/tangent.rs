@@ -2,20 +2,21 @@
 //! search for every start of every effect.
 
 use super::descent::{Eliminated, Fitted};
-use super::{COMMON, HUBER, Laid, Measured, Step};
+use super::{COMMON, HUBER, Laid, Measured, Nuisances, Step};
 use crate::identify::least_squares::dot;
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
-use crate::model::ModelSpec;
+use crate::model::{EffectSpec, ModelSpec, effects};
 use nalgebra::{DMatrix, DVector};
 
 /// The response about a fitted model, linearised: what a further effect would bring, to first order.
 pub struct Tangent<'b, 'a> {
     measured: &'b Measured<'a>,
+    numbers: &'b Numbers,
     laid: &'b Laid,
     steps: Vec<Step<'a>>,
-    /// Their misfits.
-    misfits: Vec<Vec<f64>>,
+    /// Their misfits, by the exact solver and by the general one: these differ by more than a faint effect does.
+    misfits: [Vec<Vec<f64>>; 2],
     own: Vec<Eliminated>,
     gradient: DVector<f64>,
     inverse: DMatrix<f64>,
@@ -46,9 +47,31 @@ impl<'a> Measured<'a> {
         let common = &laid.values[laid.values.len() - COMMON..];
         let misfit =
             |(step, own): (&Step<'_>, &Vec<f64>)| self.misfit(step.window, &step.simulated, common, own);
-        let misfits = steps.iter().zip(&laid.nuisances).map(misfit).collect();
-        Some(Tangent { measured: self, laid, steps, misfits, own: system.own, gradient, inverse })
+        let own: Vec<_> = steps.iter().zip(&laid.nuisances).map(misfit).collect();
+        let mut general = own.clone();
+        if is_piecewise_linear(spec) {
+            let mut specimens = self.specimens(&with_nothing(spec))?;
+            for ((step, own), general) in steps.iter().zip(&laid.nuisances).zip(&mut general) {
+                let simulated = self.simulate(&mut specimens, step.window, common[0], own);
+                *general = self.misfit(step.window, &simulated, common, own);
+            }
+        }
+        let misfits = [own, general];
+        Some(Tangent { measured: self, numbers, laid, steps, misfits, own: system.own, gradient, inverse })
     }
+}
+
+/// Whether the exact solver takes a model.
+fn is_piecewise_linear(spec: &ModelSpec) -> bool {
+    spec.effects.iter().all(|effect| effects::find(&effect.name).is_ok_and(|effect| effect.piecewise_linear))
+}
+
+/// The same model, in the hands of the general solver.
+fn with_nothing(spec: &ModelSpec) -> ModelSpec {
+    let mut spec = spec.clone();
+    let parameters = [("c2_n_s2_m2".to_owned(), 0.0)].into_iter().collect();
+    spec.effects.push(EffectSpec { name: "quadratic-damping".into(), expression: None, parameters });
+    spec
 }
 
 /// What an effect brings to first order.
@@ -62,25 +85,51 @@ pub struct Score {
     pub change: f64,
     /// How far each value of the model moves for a scale of 1.
     pub followed: Vec<f64>,
+    /// The same of the nuisances of each step.
+    beside: Vec<Nuisances>,
 }
 
 impl Tangent<'_, '_> {
     /// What a model with a faint effect more brings when the effect is scaled at will and everything else follows (score
     /// test, Rao 1948).
     pub fn score(&self, with: &ModelSpec) -> Option<Score> {
+        self.project(with, None)
+    }
+
+    /// The same with everything else moved already as `score` has it follow. What the effect alone changes is mostly taken up again,
+    /// and where it shifts contacts it is not of first order at all.
+    pub fn score_again(&self, with: &ModelSpec, score: &Score) -> Option<Score> {
+        self.project(with, Some(score))
+    }
+
+    fn project(&self, with: &ModelSpec, moved: Option<&Score>) -> Option<Score> {
         let measured = self.measured;
-        let values = &self.laid.values;
+        let mut values = self.laid.values.clone();
+        let mut spec = with.clone();
+        if let Some(score) = moved {
+            let mut numbers = self.numbers.clone();
+            numbers.start_from(with);
+            let own = numbers.free.iter().zip(&score.followed);
+            let own: Vec<f64> = own.map(|(f, by)| (f.start + by).clamp(f.bounds.0, f.bounds.1)).collect();
+            numbers.put(&own, &mut spec).then_some(())?;
+            values.iter_mut().zip(&score.followed).for_each(|(x, by)| *x += by);
+        }
         let common = &values[values.len() - COMMON..];
-        let mut specimens = measured.specimens(with)?;
+        let mut specimens = measured.specimens(&spec)?;
         let (mut square, mut slope) = (0.0, 0.0);
         let (mut power, mut count) = (0.0, 0usize);
         let mut mixed = DVector::zeros(self.gradient.len());
-        let steps = self.steps.iter().zip(&self.misfits).zip(&self.own).zip(&self.laid.nuisances);
-        for (((step, before), own), nuisances) in steps {
+        let mut inners = Vec::with_capacity(self.steps.len());
+        let misfits = &self.misfits[usize::from(!is_piecewise_linear(with))];
+        for (k, (step, own)) in self.steps.iter().zip(&self.own).enumerate() {
             let weight = own.weight;
-            let simulated = measured.simulate(&mut specimens, step.window, common[0], nuisances);
-            let mut changed = measured.misfit(step.window, &simulated, common, nuisances);
-            changed.iter_mut().zip(before).for_each(|(c, r)| *c -= r);
+            let mut nuisances = self.laid.nuisances[k].clone();
+            if let Some(score) = moved {
+                nuisances.iter_mut().zip(&score.beside[k]).for_each(|(x, by)| *x += by);
+            }
+            let simulated = measured.simulate(&mut specimens, step.window, common[0], &nuisances);
+            let mut changed = measured.misfit(step.window, &simulated, common, &nuisances);
+            changed.iter_mut().zip(&misfits[k]).for_each(|(c, r)| *c -= r);
             let large = step.residuals[..simulated.len()].iter().enumerate().filter(|(_, r)| r.abs() > HUBER);
             large.for_each(|(i, r)| changed[i] *= HUBER / r.abs());
             if changed.iter().any(|c| !c.is_finite()) {
@@ -96,14 +145,27 @@ impl Tangent<'_, '_> {
             square += weight * dot(&changed, &changed) - inner.dot(&eliminated);
             slope += weight * dot(&changed, &step.residuals) - own.pull.dot(&eliminated);
             mixed += against(&own.along) - &own.mixed * &eliminated;
+            inners.push(inner);
         }
         let through = &self.inverse * &mixed;
         let (square, slope) = (square - mixed.dot(&through), slope - self.gradient.dot(&through));
+        let mut followed: Vec<f64> = through.iter().map(|x| -x).collect();
+        let follow = |(own, inner): (&Eliminated, DVector<f64>)| -> Nuisances {
+            let step = &own.inverse * (inner - own.mixed.transpose() * &through);
+            step.iter().map(|x| -x).collect()
+        };
+        let mut beside: Vec<Nuisances> = self.own.iter().zip(inners).map(follow).collect();
+        if let Some(score) = moved {
+            let add = |to: &mut [f64], by: &[f64]| to.iter_mut().zip(by).for_each(|(x, by)| *x += by);
+            add(&mut followed, &score.followed);
+            beside.iter_mut().zip(&score.beside).for_each(|(to, by)| add(to, by));
+        }
         (square > 0.0).then(|| Score {
             nats: 0.5 * slope * slope / square,
             scale: -slope / square,
             change: (power / count.max(1) as f64).sqrt(),
-            followed: through.iter().map(|x| -x).collect(),
+            followed,
+            beside,
         })
     }
 }

@@ -79,6 +79,10 @@ impl Term for SpringPot {
         RATES
     }
 
+    fn remembers(&self) -> bool {
+        true
+    }
+
     fn force(&self, at: &Point, state: &[f64], rate: &mut [f64]) -> f64 {
         let v = at.velocity_m_s;
         let mut force = self.stiffness * at.displacement_m + self.damping * v;

@@ -37,6 +37,8 @@ pub struct Parameter {
     pub at_most: f64,
     /// Value when it is left out; `None` when it must be given.
     pub default: Option<f64>,
+    /// The effect vanishes as it grows, as that of a stiffness in series does.
+    pub in_series: bool,
 }
 
 impl Parameter {
@@ -50,7 +52,8 @@ impl Parameter {
     ) -> Self {
         let (log_scale, sign) = (true, Sign::Positive);
         let (at_least, at_most) = (f64::MIN, f64::MAX);
-        Self { name, unit, about, prior, start, log_scale, sign, at_least, at_most, default: None }
+        let (default, in_series) = (None, false);
+        Self { name, unit, about, prior, start, log_scale, sign, at_least, at_most, default, in_series }
     }
 
     /// As [`Parameter::positive`], zero allowed.
@@ -88,6 +91,11 @@ impl Parameter {
     /// May be left out of the file.
     pub fn optional(self, default: f64) -> Self {
         Self { default: Some(default), start: default, ..self }
+    }
+
+    /// The effect vanishes as it grows.
+    pub fn in_series(self) -> Self {
+        Self { in_series: true, ..self }
     }
 
     /// Refused below `at_least`.

@@ -22,7 +22,8 @@ pub static EFFECT: Effect = Effect {
                 "stiffness of a stand",
                 (0.3 * s.contact_stiffness_n_m(), 100.0 * s.contact_stiffness_n_m()),
                 5.0 * s.contact_stiffness_n_m(),
-            ),
+            )
+            .in_series(),
             Parameter::positive(
                 "ms_kg",
                 "kg",

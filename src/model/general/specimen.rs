@@ -399,6 +399,20 @@ impl<const N: usize> General<N> {
     }
 }
 
+impl<const N: usize> General<N> {
+    /// Where the states of terms are that forget by a power law.
+    fn remembering(&self) -> Vec<std::ops::Range<usize>> {
+        let (mut at, mut out) = (self.layout.terms, Vec::new());
+        for term in self.system.mass_terms.iter().chain(&self.system.isolator_terms) {
+            if term.remembers() {
+                out.push(at..at + term.states());
+            }
+            at += term.states();
+        }
+        out
+    }
+}
+
 fn imposed(motion: Motion, t: f64) -> Option<f64> {
     match motion {
         Motion::Free => None,
@@ -478,6 +492,16 @@ impl<const N: usize> Specimen for General<N> {
         let at = (self.time_s, 0.0);
         let forces = self.system.rates(at, &self.y, &self.mode, &self.layout, Some(line.at(dt))).1;
         self.response(&forces)
+    }
+
+    fn memory(&self) -> Vec<f64> {
+        self.remembering().into_iter().next().map(|range| self.y[range].to_vec()).unwrap_or_default()
+    }
+
+    fn recall(&mut self, memory: &[f64]) {
+        for range in self.remembering().into_iter().filter(|range| range.len() == memory.len()) {
+            self.y[range].copy_from_slice(memory);
+        }
     }
 
     fn prime(&mut self, table_acceleration_m_s2: f64) {

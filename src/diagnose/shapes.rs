@@ -1,0 +1,142 @@
+//! Is there structure in what an explanation leaves of the simulated response? Forces of many shapes, generic ones that no effect
+//! of the catalogue has, are scored beside it to first order, the model's own numbers following. Noise brings none of them
+//! more than chance; a force that is really there brings one that is like it. The verdict "outside the catalogue" stands on it
+//! wherever a base record drives a simulation.
+
+use super::by_response::{follow, to_first_order};
+use super::search::Searcher;
+use super::trial::{self, Trial};
+use super::{candidates, verdict};
+use crate::identify::least_squares::Settings;
+use crate::model::{EffectSpec, ModelSpec, Scales};
+use crate::parallel;
+
+/// The shape of a force that would bring most.
+#[derive(Clone, Debug)]
+pub struct Shape {
+    /// As an expression, lengths over `dm` (m), velocities over `vm` (m/s), times over `tm` (s), an amplitude `f` (N).
+    pub expression: &'static str,
+    /// Nats of log-likelihood on the steps of the fit, to first order.
+    pub nats: f64,
+    /// The model with it, everything moved as first order has it.
+    with: ModelSpec,
+}
+
+/// What forces of some shape would bring, nats.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Shaped {
+    /// Beside an explanation, on the steps of the fit to first order.
+    pub beside: f64,
+    /// One in place of all effects, fitted: by how much it does better over the whole record.
+    pub instead: f64,
+}
+
+/// Share of what an explanation brings to first order below which a shape is not fitted in its place.
+const WORTH: f64 = 0.3;
+
+/// Even and odd powers of displacement and velocity and their products, waves over displacement, forces of one side, friction in
+/// places, and slow changes.
+const SHAPES: [&str; 20] = [
+    "f*(d/dm)^2",
+    "f*(d/dm)*abs(d/dm)",
+    "f*(d/dm)^5",
+    "f*(v/vm)^2",
+    "f*(v/vm)^3",
+    "f*abs(d/dm)*(v/vm)",
+    "f*(d/dm)^2*(v/vm)",
+    "f*(d/dm)*(v/vm)",
+    "f*(d/dm)*(v/vm)^2",
+    "f*(d/dm)*abs(v/vm)",
+    "f*abs(d/dm)*tanh(10*v/vm)",
+    "f*abs(v/vm)*(v/vm)*tanh(10*d/dm)",
+    "f*sin(6.283185307179586*d/dm)",
+    "f*sin(9.42477796076938*d/dm)",
+    "f*sin(12.566370614359172*d/dm)",
+    "f*cos(6.283185307179586*d/dm)",
+    "f*tanh(20*v/vm)*exp(0-(4*d/dm-2)^2)",
+    "f*tanh(20*v/vm)*exp(0-(4*d/dm)^2)",
+    "f*(d/dm)*sin(6.283185307179586*t/tm)",
+    "f*(v/vm)*sin(6.283185307179586*t/tm)",
+];
+
+impl Searcher<'_> {
+    /// What shapes bring beside the trial that was taken and in its place.
+    pub fn shaped(&self, base: &Trial, taken: &Trial) -> Shaped {
+        let nats = |shape: Option<Shape>| shape.map_or(0.0, |shape| shape.nats);
+        let instead = if taken.names.is_empty() { None } else { self.shape_instead(base, taken) };
+        Shaped { beside: nats(self.shape_left(taken)), instead: instead.unwrap_or(f64::NEG_INFINITY) }
+    }
+
+    /// The shape that brings most beside a trial; none where the simulated response does not decide.
+    pub fn shape_left(&self, trial: &Trial) -> Option<Shape> {
+        let (measured, response) = (self.measured.as_ref()?, trial.response.as_ref()?);
+        let tangent = measured.tangent(&trial.refit.spec, &trial.refit.numbers, &response.training)?;
+        let scales = candidates::scales(&trial.refit.spec, self.motion);
+        let with = |start: &EffectSpec| candidates::beside(&trial.refit.spec, start);
+        let scored = parallel::map(&SHAPES, parallel::cores(), |expression| {
+            let (spec, score) = to_first_order(&tangent, faint(expression, &scales), with, grown)?;
+            let with = follow(trial, with(&grown(&spec, score.scale)?), &score, score.scale)?;
+            Some(Shape { expression, nats: score.nats, with })
+        });
+        scored.into_iter().flatten().max_by(|a, b| a.nats.total_cmp(&b.nats))
+    }
+
+    /// How much better the best shape does on the base model than the effects that were taken.
+    fn shape_instead(&self, base: &Trial, taken: &Trial) -> Option<f64> {
+        let (measured, shape) = (self.measured.as_ref()?, self.shape_left(base)?);
+        if shape.nats < WORTH * taken.training_gain(base) {
+            return None;
+        }
+        let (spec, mut refit) = (shape.with, base.refit.clone());
+        refit.numbers.add_effect(&spec, spec.effects.len() - 1, &candidates::scales(&spec, self.motion));
+        // The amplitude alone.
+        let amplitude = format!("effect[{}].f", spec.effects.len() - 1);
+        let kept = |key: &str| key == amplitude || base.refit.numbers.numbers.iter().any(|n| n.key == key);
+        refit.numbers.numbers.retain(|number| kept(&number.key));
+        refit.numbers.free.retain(|free| kept(&free.key));
+        refit.spec = spec;
+        let start = Trial { names: vec!["expression".into()], refit, ..base.clone() };
+        let settings = Settings { iterations: 8, ..Settings::default() };
+        let fitted = trial::respond(measured, &start, None, settings)?;
+        Some(verdict::apart(&fitted, taken))
+    }
+}
+
+/// A shape with so many times its amplitude.
+fn grown(start: &EffectSpec, factor: f64) -> Option<EffectSpec> {
+    let mut spec = start.clone();
+    *spec.parameters.get_mut("f")? *= factor;
+    Some(spec)
+}
+
+/// A shape of small amplitude.
+fn faint(expression: &'static str, scales: &Scales) -> EffectSpec {
+    let all = [
+        ("f", 1e-3 * scales.force_n),
+        ("dm", scales.displacement_m),
+        ("vm", scales.velocity_m_s),
+        ("tm", scales.duration_s),
+    ];
+    let used = all.into_iter().filter(|(name, _)| expression.contains(name));
+    EffectSpec {
+        name: "expression".into(),
+        expression: Some(expression.into()),
+        parameters: used.map(|(name, value)| (name.to_owned(), value)).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::{build, testing::b1_g2};
+
+    #[test]
+    fn every_shape_is_an_effect_that_can_be_simulated() {
+        let scales = Scales::of_spec(&b1_g2(), 1.0 / 2048.0);
+        for expression in SHAPES {
+            let mut spec = b1_g2();
+            spec.effects.push(faint(expression, &scales));
+            assert!(build(&spec, 1.0 / 2048.0).is_ok(), "{expression}");
+        }
+    }
+}
