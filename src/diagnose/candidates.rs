@@ -198,3 +198,39 @@ fn order_friction(spec: &mut EffectSpec) {
         *fs = fs.max(1.3 * fc);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::testing::{b1_g2, effect};
+
+    #[test]
+    fn starts_are_scaled_by_what_they_do() {
+        let spec = b1_g2();
+        let mut scales = Scales::of_spec(&spec, 1.0 / 2048.0);
+        scales.penetration_m = Some(0.01);
+        let (more, by) = scaled(&effect("coulomb-friction", &[("fc_n", 10.0)]), 2.0, &scales).expect("may");
+        assert_eq!((more.parameters["fc_n"], by), (20.0, 2.0));
+        assert!(scaled(&effect("coulomb-friction", &[("fc_n", 10.0)]), -2.0, &scales).is_none());
+        // A stand does more the softer it is.
+        let stand = effect("stand-compliance", &[("ks_n_m", 1e6), ("ms_kg", 10.0)]);
+        let (more, by) = scaled(&stand, 2.0, &scales).expect("may");
+        assert_eq!((more.parameters["ks_n_m"], by), (5e5, 2.0));
+        // A contact is bent more, as stiff as the line at the usual penetration.
+        let hertz = effect("hertz-contact", &[("kh", scales.contact_stiffness_n_m()), ("n", 1.2)]);
+        let (more, _) = scaled(&hertz, 2.0, &scales).expect("may");
+        let at = more.parameters["kh"] * 0.01_f64.powf(more.parameters["n"]);
+        assert!((more.parameters["n"] - 1.4).abs() < 1e-12, "{more:?}");
+        assert!((at / (scales.contact_stiffness_n_m() * 0.01) - 1.0).abs() < 1e-12, "{more:?}");
+    }
+
+    #[test]
+    fn a_bumper_on_a_stand_is_as_stiff_as_before() {
+        let spec = b1_g2();
+        let with = beside(&spec, &effect("stand-compliance", &[("ks_n_m", 5e5), ("ms_kg", 10.0)]));
+        let (before, after) = (spec.bumper.expect("one"), with.bumper.expect("one"));
+        let both = 1.0 / (1.0 / after.stiffness_n_m + 1.0 / 5e5);
+        assert!((both / before.stiffness_n_m - 1.0).abs() < 1e-12, "{both}");
+        assert!(after.damping_n_s_m > before.damping_n_s_m);
+    }
+}

@@ -138,7 +138,15 @@ impl<'a> Searcher<'a> {
     /// Re-fits the base model.
     pub fn base(&self, nominal: &ModelSpec) -> Option<Trial> {
         let refit = trial::base_by_force(&self.fitting, nominal, self.fitted.as_ref())?;
-        self.finish(&trial::judge_by_force(&self.fitting, &[], refit)?)
+        let base = self.finish(&trial::judge_by_force(&self.fitting, &[], refit)?)?;
+        // With its jumps known, once more.
+        let again = self.measured.as_ref().zip(base.response.as_ref()).and_then(|(measured, response)| {
+            let laid = [(Part::Training, &response.training), (Part::HeldOut, &response.held_out)];
+            let settings = Settings { iterations: 6, ..Settings::default() };
+            let told = measured.learn_jumps(&base.refit.spec, laid);
+            if told { trial::respond(measured, &base, Some(&response.training), settings) } else { None }
+        });
+        Some(again.unwrap_or(base))
     }
 
     /// Refines what was fitted by force, and judges it: by the response where there is one.

@@ -34,7 +34,8 @@ impl<'a> Measured<'a> {
         let column = |a: &dyn Fn(usize) -> f64, d: &dyn Fn(usize) -> f64| -> Vec<f64> {
             (0..n).map(|i| sa * a(i)).chain((0..n).map(|i| sd * d(i))).collect()
         };
-        let counts = |i: usize| self.counts[window.range.start + i];
+        let counted = self.counts();
+        let counts = |i: usize| counted[window.range.start + i];
         let changed = |simulated: &Simulated, h: f64| {
             let small = |i: usize| {
                 let change = step.simulated[i].0 - simulated[i].0;

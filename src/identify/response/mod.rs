@@ -6,19 +6,25 @@
 //! the normal equations, Golub and Pereyra 1973). Diagnosis decides by it wherever a base record drives a simulation.
 
 mod descent;
+mod jumps;
+mod left;
+mod memory;
 mod tangent;
 #[cfg(test)]
 mod tests;
 
+pub use left::Left;
 pub use tangent::{Score, Tangent};
+
+use jumps::{beside_jumps, spread_jumps};
 
 use super::least_squares::{Free, dot};
 use super::motion::{Motion, Window};
 use super::numbers::Numbers;
-use super::problem::{DRIFT, DRIFT_MEMORY, OutputError, Part};
+use super::problem::{DRIFT, DRIFT_MEMORY, Part};
 use super::refit::{with_zero, zero_sigma_m};
 use super::together::Source;
-use crate::model::{self, EffectSpec, IsolatorSpec, ModelSpec, Specimen};
+use crate::model::{self, ModelSpec, Specimen};
 use nalgebra::{DMatrix, DVector};
 use std::sync::{Arc, OnceLock};
 
@@ -32,26 +38,18 @@ const LAG: f64 = 0.3;
 /// Numbers beyond the model's: zero of the displacement sensor, leak, lag, gains of the displacement sensor and of the
 /// accelerometers, as far as the kinematics leave them open.
 const COMMON: usize = 5;
-/// Nuisances of every step that take a simulation to follow: start displacement and velocity, amplitude and time of what drives it.
+/// Nuisances of every step that take a simulation to follow: start displacement and velocity, amplitude, time and frequency of what
+/// drives it.
 /// After them come the offsets of what drives it in each half cycle, where there is noise in it; then, without a simulation, the zero
 /// of A and the knots of the displacement sensor's drift.
-const STARTING: usize = 4;
+const STARTING: usize = 5;
 /// Noise of what drives a step below this share of the table's own is not followed.
 const QUIET: f64 = 0.1;
 /// Nor in a step of more half cycles than these: each takes a simulation.
 const OFFSETS: usize = 16;
-/// A second difference of the measured acceleration above so many times its noise is a jump, as where a damped contact begins:
-/// which of two samples it falls between is chance.
-const JUMP: f64 = 7.0;
-/// Samples between neighbours whose covariance is structure: beyond what filters and lags make.
-const NEAR: usize = 8;
-/// Share of the steps, those with most left, in which a stiff contact may have led elsewhere.
-const ELSEWHERE: f64 = 0.15;
 /// A residual of the acceleration above so many times its noise counts by its size, no more by its square (Huber 1964): where a
 /// simulated contact begins some samples off, the jump does not rule the fit.
 const HUBER: f64 = 6.0;
-/// Samples on each side of a jump that do not count.
-const AROUND: usize = 2;
 /// A change of a residual by more than this, in units of its noise, within the small difference of a slope is a jump that went
 /// over a sample.
 const OVER: f64 = 1.0;
@@ -68,14 +66,17 @@ pub struct Measured<'a> {
     gain_sigmas: [f64; 2],
     drift_m: f64,
     table_noise_m_s2: f64,
-    /// Whether each sample of the acceleration counts.
+    /// Whether each sample of the acceleration counts, by the record alone.
     counts: Vec<bool>,
+    /// The same when a fitted model has said where jumps are.
+    told: Arc<OnceLock<Vec<bool>>>,
     /// What a springpot remembers at the beginning of each window.
     remembered: Arc<OnceLock<Vec<Vec<f64>>>>,
 }
 
 /// What is estimated in one step beside the model's numbers: start displacement, start velocity (against the measured
-/// ones), amplitude (relative) and time (s) of what drives it, its offsets (m/s2), zero of A, then the knots of the drift.
+/// ones), amplitude (relative) and time (s) of what drives it and how much later it is at the end than in the middle (s), its offsets
+/// (m/s2), zero of A, then the knots of the drift.
 pub type Nuisances = Vec<f64>;
 
 /// A model laid against the steps of a part.
@@ -93,17 +94,6 @@ pub struct Laid {
     pub count: usize,
     /// Information on the values, the nuisances of the steps eliminated.
     information: DMatrix<f64>,
-}
-
-/// What is left in the residuals of a part.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Left {
-    /// Covariance of neighbouring residuals, in units of the noise: noise has none, whatever its level.
-    pub excess: f64,
-    /// How many residuals count as one independent one.
-    pub colour: f64,
-    /// Mean square over that of the noise, its median over the steps.
-    pub median: f64,
 }
 
 /// Simulated A and D of a step.
@@ -161,6 +151,7 @@ impl<'a> Measured<'a> {
                 .as_ref()
                 .map_or(motion.restoring_noise_m_s2, |i| i.table_noise_m_s2),
             counts: beside_jumps(&motion.restoring_m_s2, motion.restoring_noise_m_s2),
+            told: Arc::default(),
             remembered: Arc::default(),
         })
     }
@@ -197,7 +188,7 @@ impl<'a> Measured<'a> {
 
     /// Residuals of a step that count.
     fn count(&self, window: &Window) -> usize {
-        window.range.len() + self.counts[window.range.clone()].iter().filter(|c| **c).count()
+        window.range.len() + self.counts()[window.range.clone()].iter().filter(|c| **c).count()
     }
 
     fn knots(&self, window: &Window) -> usize {
@@ -226,8 +217,19 @@ impl<'a> Measured<'a> {
         self.windows(part).iter().map(nothing).collect()
     }
 
-    /// Simulates a step from the measured state, moved by so much; hidden states are warmed up along the measured motion.
+    /// Simulates a step from the measured state, moved by so much, jumps spread.
     fn simulate(&self, specimens: &mut Specimens, window: &Window, zero_m: f64, start: &[f64]) -> Simulated {
+        self.responses(specimens, window, zero_m, start).1
+    }
+
+    /// The same as it is, and with its jumps spread; hidden states are warmed up along the measured motion.
+    fn responses(
+        &self,
+        specimens: &mut Specimens,
+        window: &Window,
+        zero_m: f64,
+        start: &[f64],
+    ) -> (Simulated, Simulated) {
         let motion = self.motion;
         let specimen = &mut *specimens.each[window.source];
         specimen.reset();
@@ -246,12 +248,14 @@ impl<'a> Measured<'a> {
         // What drives the step, its amplitude and time as they are estimated.
         let end = motion.drive_m_s2.len() - 1;
         let offsets = &start[STARTING..self.followed(window)];
+        let length = window.range.len() as f64;
         let drive = |n: usize| {
             let at = n.saturating_sub(window.range.start) * offsets.len() / window.range.len();
             let slope = 0.5
                 * (motion.drive_m_s2[(n + 1).min(end)] - motion.drive_m_s2[n.max(1) - 1])
                 * motion.sample_rate_hz;
-            motion.drive_m_s2[n] * (1.0 + start[2]) + slope * start[3] + offsets.get(at).unwrap_or(&0.0)
+            let late_s = start[3] + start[4] * (2.0 * (n as f64 - window.range.start as f64) / length - 1.0);
+            motion.drive_m_s2[n] * (1.0 + start[2]) + slope * late_s + offsets.get(at).unwrap_or(&0.0)
         };
         specimen.prime(drive(last));
         let table: Vec<f64> = window.range.clone().map(drive).collect();
@@ -261,37 +265,11 @@ impl<'a> Measured<'a> {
             simulated.push((response.mass_acceleration_m_s2, response.relative_displacement_m));
             velocity_m_s.push(response.relative_velocity_m_s);
         });
+        let mut spread = simulated.clone();
         if !specimens.kicks {
-            spread_jumps(&mut simulated, &velocity_m_s, &table, motion.sample_rate_hz);
+            spread_jumps(&mut spread, &velocity_m_s, &table, motion.sample_rate_hz);
         }
-        simulated
-    }
-
-    /// What a springpot remembers where the warming up of a step begins, the motion before it run through once.
-    fn remembered(&self, window: &Window) -> &[f64] {
-        let all = self.remembered.get_or_init(|| {
-            let motion = self.motion;
-            let mut states = Vec::with_capacity(motion.windows.len());
-            let mut walk: Option<(usize, usize, Box<dyn Specimen>)> = None;
-            for window in &motion.windows {
-                let (from, source) = (motion.sources[window.source].first, window.source);
-                let (at, mut specimen) = match walk.take() {
-                    Some((of, at, specimen)) if of == source && at <= window.warm_from => (at, specimen),
-                    _ => match springpot(motion.dt_s()) {
-                        Some(specimen) => (from, specimen),
-                        None => return Vec::new(),
-                    },
-                };
-                for n in at..window.warm_from {
-                    specimen.impose(motion.displacement_m[n], motion.velocity_m_s[n]);
-                }
-                states.push(specimen.memory());
-                walk = Some((source, window.warm_from.max(at), specimen));
-            }
-            states
-        });
-        let index = self.motion.windows.iter().position(|w| std::ptr::eq(w, window));
-        index.and_then(|index| all.get(index)).map_or(&[], Vec::as_slice)
+        (simulated, spread)
     }
 
     /// Weights of the two knots beside a sample, and the left one's number.
@@ -309,14 +287,14 @@ impl<'a> Measured<'a> {
         let (gain_d, gain_a) = (1.0 + common[3], 1.0 + common[4]);
         let followed = self.followed(window);
         let (offset, drift) = (nuisances[followed], &nuisances[followed + 1..]);
-        let n = simulated.len();
+        let (n, counts) = (simulated.len(), self.counts());
         let mut out = vec![0.0; 2 * n];
         for (i, (a, d)) in simulated.iter().enumerate() {
             let at = window.range.start + i;
             let (slope_a, slope_d) = slopes(simulated, i);
             let (left, share) = self.beside(window, i, drift.len());
             let slow = drift[left] * (1.0 - share) + drift[left + 1] * share;
-            if self.counts[at] {
+            if counts[at] {
                 out[i] = sa
                     * (-motion.restoring_m_s2[at] - leak * motion.drive_m_s2[at] - offset - gain_a * a
                         + lag * slope_a);
@@ -351,11 +329,16 @@ impl<'a> Measured<'a> {
         let w = std::f64::consts::TAU * window.frequency_hz.max(1e-9);
         let offsets = self.offsets(window);
         let half_cycle = window.range.len() as f64 / offsets.max(1) as f64;
+        // The displacement sensor's slow noise and gain are in the measured state.
+        let last = window.range.start.max(1) - 1;
+        let gain = 3.0 * self.gain_sigmas[0];
         let mut sigmas = vec![
-            3.0 * motion.displacement_noise_m,
-            3.0 * motion.velocity_noise_m_s,
+            (3.0 * motion.displacement_noise_m).hypot(self.drift_m).hypot(gain * motion.displacement_m[last]),
+            (3.0 * motion.velocity_noise_m_s).hypot(gain * motion.velocity_m_s[last]),
             amplitude,
             amplitude / w,
+            // Frequency of a sine in white noise.
+            3.0_f64.sqrt() * amplitude / w,
         ];
         sigmas.extend(vec![window.drive_noise_m_s2 / half_cycle.sqrt(); offsets]);
         sigmas.push(motion.restoring_noise_m_s2);
@@ -418,125 +401,6 @@ impl<'a> Measured<'a> {
         let (remembers, kicks) = (has("fractional-damping"), has("table-interaction"));
         Some(Specimens { each: sources.iter().map(build).collect::<Option<_>>()?, remembers, kicks })
     }
-
-    /// Errors of A and D step by step with what is estimated beside the model taken out, samples beside jumps left out; each with
-    /// the number of its window.
-    pub fn errors(&self, spec: &ModelSpec, part: Part, laid: &Laid) -> Option<Vec<(usize, OutputError)>> {
-        let (motion, common) = (self.motion, &laid.values[laid.values.len() - COMMON..]);
-        let (_, steps) = self.lay(spec, part, &laid.values, &laid.nuisances)?;
-        let of = |((step, own), k): ((&Step<'_>, &Nuisances), &usize)| {
-            let misfit = self.misfit(step.window, &step.simulated, common, own);
-            let (of_a, of_d) = misfit.split_at(step.simulated.len());
-            let laser = &motion.laser_m[step.window.range.clone()];
-            let mean = laser.iter().sum::<f64>() / laser.len().max(1) as f64;
-            let mut error = OutputError::default();
-            for (i, n) in step.window.range.clone().enumerate().filter(|(_, n)| self.counts[*n]) {
-                error.sum_a += (motion.restoring_noise_m_s2 * of_a[i]).powi(2);
-                error.power_a += motion.restoring_m_s2[n].powi(2);
-                error.sum_d += (motion.laser_noise_m * of_d[i]).powi(2);
-                error.power_d += (laser[i] - mean).powi(2);
-                error.count += 1;
-            }
-            (*k, error)
-        };
-        Some(steps.iter().zip(&laid.nuisances).zip(self.windows(part)).map(of).collect())
-    }
-
-    /// What is left of the residuals of a part.
-    pub fn left(&self, spec: &ModelSpec, part: Part, laid: &Laid) -> Option<Left> {
-        let (_, steps) = self.lay(spec, part, &laid.values, &laid.nuisances)?;
-        let (mut power, mut count) = (0.0, 0usize);
-        let mut means: Vec<f64> = Vec::with_capacity(steps.len());
-        let mut neighbours: Vec<f64> = Vec::with_capacity(steps.len());
-        // Sums of products at lags that grow by a quarter, each standing for those it skips.
-        let mut lags: Vec<(usize, usize, f64)> = Vec::new();
-        let mut lag = 1;
-        while lag < 4096 {
-            let next = (lag + 1).max(lag * 5 / 4);
-            lags.push((lag, next - lag, 0.0));
-            lag = next;
-        }
-        for step in &steps {
-            let chi2 = dot(&step.residuals, &step.residuals);
-            let counted = self.count(step.window);
-            let weight = robust(chi2, counted).1;
-            means.push(chi2 / counted as f64);
-            let pairs =
-                step.residuals.chunks(step.simulated.len()).map(|c| dot(&c[NEAR..], &c[..c.len() - NEAR]));
-            neighbours.push(pairs.sum::<f64>() / counted as f64);
-            for channel in step.residuals.chunks(step.simulated.len()) {
-                power += weight * dot(channel, channel);
-                count += channel.len();
-                for (lag, _, sum) in lags.iter_mut().filter(|(lag, _, _)| *lag < channel.len() / 2) {
-                    *sum += weight * dot(&channel[*lag..], &channel[..channel.len() - *lag]);
-                }
-            }
-        }
-        let mut colour = 1.0;
-        for (_, stands_for, sum) in lags {
-            let rho = sum / power.max(1e-300);
-            if rho < 2.0 / (count as f64).sqrt() {
-                break;
-            }
-            colour += 2.0 * rho * stands_for as f64;
-        }
-        means.sort_by(f64::total_cmp);
-        neighbours.sort_by(f64::total_cmp);
-        neighbours.truncate(neighbours.len() - (ELSEWHERE * neighbours.len() as f64) as usize);
-        Some(Left {
-            excess: (neighbours.iter().sum::<f64>() / neighbours.len().max(1) as f64).max(0.0),
-            colour,
-            median: means.get(means.len() / 2).copied().unwrap_or(f64::INFINITY),
-        })
-    }
-}
-
-/// A specimen that is nothing but a springpot.
-fn springpot(dt_s: f64) -> Option<Box<dyn Specimen>> {
-    let isolator = IsolatorSpec { stiffness_n_m: vec![1.0], breakpoints_m: vec![], damping_n_s_m: 0.0 };
-    let parameters = [("ca".to_owned(), 1.0), ("alpha".to_owned(), 0.5)].into_iter().collect();
-    let spring = EffectSpec { name: "fractional-damping".into(), expression: None, parameters };
-    let spec = ModelSpec {
-        name: "springpot".into(),
-        mass_kg: 1.0,
-        isolator,
-        bumper: None,
-        effects: vec![spring],
-        uncertainty: None,
-    };
-    model::build(&spec, dt_s).ok()
-}
-
-/// A jump of the simulated acceleration, where a damped contact begins or friction turns, goes over from sample to sample when it
-/// comes earlier or later. So that the cost has no steps there, the acceleration of each sample is its mean over the samples
-/// beside it, which the velocities give however it runs between them, sharpened again by the second difference of those means (of
-/// fourth order where nothing jumps). The ends stay as they are.
-fn spread_jumps(simulated: &mut Simulated, velocity_m_s: &[f64], table_m_s2: &[f64], rate_hz: f64) {
-    let n = simulated.len();
-    if n < 5 {
-        return;
-    }
-    let mean = |i: usize| {
-        let table = 0.25 * (table_m_s2[i - 1] + 2.0 * table_m_s2[i] + table_m_s2[i + 1]);
-        0.5 * (velocity_m_s[i + 1] - velocity_m_s[i - 1]) * rate_hz + table
-    };
-    let mut beside = [mean(1), mean(2)];
-    for i in 2..n - 2 {
-        let after = mean(i + 1);
-        simulated[i].0 = (8.0 * beside[1] - beside[0] - after) / 6.0;
-        beside = [beside[1], after];
-    }
-}
-
-/// Whether each sample counts: not beside a jump.
-fn beside_jumps(acceleration: &[f64], noise: f64) -> Vec<bool> {
-    let mut counts = vec![true; acceleration.len()];
-    for (n, x) in acceleration.windows(3).enumerate() {
-        if (x[2] - 2.0 * x[1] + x[0]).abs() > JUMP * noise {
-            counts[(n + 1).saturating_sub(AROUND)..(n + 2 + AROUND).min(acceleration.len())].fill(false);
-        }
-    }
-    counts
 }
 
 /// Rise of a simulated sample to the next, by central differences, a sample.

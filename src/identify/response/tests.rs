@@ -5,6 +5,7 @@ use crate::identify::kinematics::Tolerances;
 use crate::identify::least_squares::Settings;
 use crate::model::effects;
 use crate::model::testing::{b1_g2, effect};
+use std::f64::consts::TAU;
 
 /// The paper's specimen with numbers that are off by what a model file allows.
 fn off() -> ModelSpec {
@@ -115,4 +116,59 @@ fn noise_in_what_drives_a_step_is_followed_from_half_cycle_to_half_cycle() {
     motion.windows.iter_mut().for_each(|window| window.drive_noise_m_s2 = 0.02);
     let followed = excess(&motion);
     assert!(unseen > 0.02 && followed < 0.3 * unseen, "{unseen} {followed}");
+}
+
+#[test]
+fn jumps_are_spread_and_what_does_not_jump_stays() {
+    use super::jumps::spread_jumps;
+    let rate = 2048.0;
+    let table = vec![0.0; 40];
+    // A smooth motion to fourth order; the ends as they are.
+    let w = TAU * 20.0;
+    let at = |i: usize| i as f64 / rate;
+    let smooth: Vec<(f64, f64)> = (0..40).map(|i| (-w * (w * at(i)).sin(), 0.0)).collect();
+    let velocity: Vec<f64> = (0..40).map(|i| (w * at(i)).cos()).collect();
+    let mut spread = smooth.clone();
+    spread_jumps(&mut spread, &velocity, &table, rate);
+    let apart = smooth.iter().zip(&spread).map(|(a, b)| (a.0 - b.0).abs()).fold(0.0, f64::max);
+    assert!(apart < 1e-5 * w, "{apart}");
+    assert_eq!(spread[1], smooth[1]);
+    // A jump of 1 at an instant, in samples: its sample goes over from 0 to 1 by less the less the instant moves.
+    let jump = |instant: f64| {
+        let mut sampled: Vec<(f64, f64)> = (0..40).map(|i| (f64::from(i as f64 > instant), 0.0)).collect();
+        let velocity: Vec<f64> = (0..40).map(|i| (i as f64 - instant).max(0.0) / rate).collect();
+        spread_jumps(&mut sampled, &velocity, &table, rate);
+        sampled
+    };
+    for instant in [19.0, 19.3, 19.999] {
+        let change = |by: f64| {
+            let pairs = jump(instant).into_iter().zip(jump(instant + by));
+            pairs.map(|(a, b)| (a.0 - b.0).abs()).fold(0.0, f64::max)
+        };
+        assert!(change(2e-3) < 3e-3 && change(2e-2) > 5e-3, "{instant}: {} {}", change(2e-3), change(2e-2));
+    }
+}
+
+#[test]
+fn a_springpot_remembers_the_record_before_a_step() {
+    let mut truth = b1_g2();
+    truth.effects.push(effect("fractional-damping", &[("ca", 2000.0), ("alpha", 0.4)]));
+    let record = seen(&truth, 5);
+    let motion = Motion::of(&record, 500.0, Tolerances::default()).expect("a base record");
+    let measured = Measured::new(&motion).expect("with a laser");
+    // The last step's memory is what imposing the whole record leaves, whatever the parameters.
+    let window = motion.windows.last().expect("steps");
+    let mut other = truth.clone();
+    other.set("effect[0].alpha", 0.7).expect("there");
+    let mut specimen = model::build(&other, motion.dt_s()).expect("builds");
+    for n in 0..window.warm_from {
+        specimen.impose(motion.displacement_m[n], motion.velocity_m_s[n]);
+    }
+    let (whole, kept) = (specimen.memory(), measured.remembered(window));
+    assert_eq!(whole.len(), kept.len());
+    let size = whole.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
+    assert!(whole.iter().zip(kept).all(|(a, b)| (a - b).abs() < 1e-9 * size), "{whole:?} {kept:?}");
+    specimen.reset();
+    specimen.recall(kept);
+    assert_eq!(specimen.memory(), kept);
 }

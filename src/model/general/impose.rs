@@ -142,4 +142,16 @@ impl<const N: usize> General<N> {
             at = end;
         }
     }
+
+    /// Where the states of terms are that forget by a power law.
+    pub(super) fn remembering(&self) -> Vec<std::ops::Range<usize>> {
+        let (mut at, mut out) = (self.layout.terms, Vec::new());
+        for term in self.system.mass_terms.iter().chain(&self.system.isolator_terms) {
+            if term.remembers() {
+                out.push(at..at + term.states());
+            }
+            at += term.states();
+        }
+        out
+    }
 }

@@ -399,20 +399,6 @@ impl<const N: usize> General<N> {
     }
 }
 
-impl<const N: usize> General<N> {
-    /// Where the states of terms are that forget by a power law.
-    fn remembering(&self) -> Vec<std::ops::Range<usize>> {
-        let (mut at, mut out) = (self.layout.terms, Vec::new());
-        for term in self.system.mass_terms.iter().chain(&self.system.isolator_terms) {
-            if term.remembers() {
-                out.push(at..at + term.states());
-            }
-            at += term.states();
-        }
-        out
-    }
-}
-
 fn imposed(motion: Motion, t: f64) -> Option<f64> {
     match motion {
         Motion::Free => None,

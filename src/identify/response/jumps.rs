@@ -1,0 +1,83 @@
+//! Jumps of the acceleration, where a damped contact begins or friction turns: spread over the samples beside them in a simulation, and
+//! left out of the sums, where the record or a fitted response has them. Called by every simulation and once by the search.
+
+use super::{COMMON, Laid, Measured, Simulated};
+use crate::identify::problem::Part;
+use crate::model::ModelSpec;
+
+/// A second difference of the measured acceleration above so many times its noise is a jump, as where a damped contact begins:
+/// which of two samples it falls between is chance.
+const JUMP: f64 = 7.0;
+/// Samples on each side of a jump that do not count.
+const AROUND: usize = 2;
+/// A simulated acceleration that spreading changes by more than this, in units of the noise, has a jump beside it.
+const SPREAD: f64 = 0.2;
+
+impl Measured<'_> {
+    /// Whether each sample of the acceleration counts.
+    pub(super) fn counts(&self) -> &[bool] {
+        self.told.get().unwrap_or(&self.counts)
+    }
+
+    /// Lets the samples beside the jumps of a fitted response not count, those that noise hides in the record too: a record tells a
+    /// jump's instant to half a sample at best, a fit would have it tell more. Once; says whether it was done.
+    pub fn learn_jumps(&self, spec: &ModelSpec, laid: [(Part, &Laid); 2]) -> bool {
+        let Some(mut specimens) = self.specimens(spec) else { return false };
+        if self.told.get().is_some() {
+            return false;
+        }
+        let mut counts = self.counts.clone();
+        for (part, laid) in laid {
+            let zero_m = laid.values[laid.values.len() - COMMON];
+            for (k, own) in self.windows(part).iter().zip(&laid.nuisances) {
+                let window = &self.motion.windows[*k];
+                let (simulated, spread) = self.responses(&mut specimens, window, zero_m, own);
+                let (first, end) = (window.range.start, counts.len());
+                for (i, (of, spread)) in simulated.iter().zip(&spread).enumerate() {
+                    if (of.0 - spread.0).abs() > SPREAD * self.motion.restoring_noise_m_s2 {
+                        let at = first + i;
+                        counts[at.saturating_sub(AROUND)..(at + AROUND + 1).min(end)].fill(false);
+                    }
+                }
+            }
+        }
+        self.told.set(counts).is_ok()
+    }
+}
+
+/// A jump of the simulated acceleration, where a damped contact begins or friction turns, goes over from sample to sample when it
+/// comes earlier or later. So that the cost has no steps there, the acceleration of each sample is its mean over the samples
+/// beside it, which the velocities give however it runs between them, sharpened again by the second difference of those means (of
+/// fourth order where nothing jumps). The ends stay as they are.
+pub(super) fn spread_jumps(
+    simulated: &mut Simulated,
+    velocity_m_s: &[f64],
+    table_m_s2: &[f64],
+    rate_hz: f64,
+) {
+    let n = simulated.len();
+    if n < 5 {
+        return;
+    }
+    let mean = |i: usize| {
+        let table = 0.25 * (table_m_s2[i - 1] + 2.0 * table_m_s2[i] + table_m_s2[i + 1]);
+        0.5 * (velocity_m_s[i + 1] - velocity_m_s[i - 1]) * rate_hz + table
+    };
+    let mut beside = [mean(1), mean(2)];
+    for i in 2..n - 2 {
+        let after = mean(i + 1);
+        simulated[i].0 = (8.0 * beside[1] - beside[0] - after) / 6.0;
+        beside = [beside[1], after];
+    }
+}
+
+/// Whether each sample counts: not beside a jump.
+pub(super) fn beside_jumps(acceleration: &[f64], noise: f64) -> Vec<bool> {
+    let mut counts = vec![true; acceleration.len()];
+    for (n, x) in acceleration.windows(3).enumerate() {
+        if (x[2] - 2.0 * x[1] + x[0]).abs() > JUMP * noise {
+            counts[(n + 1).saturating_sub(AROUND)..(n + 2 + AROUND).min(acceleration.len())].fill(false);
+        }
+    }
+    counts
+}

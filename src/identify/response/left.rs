@@ -1,0 +1,95 @@
+//! What a model laid against the record leaves: structure, colour, and errors step by step.
+
+use super::{COMMON, Laid, Measured, Nuisances, Step, robust};
+use crate::identify::least_squares::dot;
+use crate::identify::problem::{OutputError, Part};
+use crate::model::ModelSpec;
+
+/// Samples between neighbours whose covariance is structure: beyond what filters and lags make.
+const NEAR: usize = 8;
+/// Share of the steps, those with most left, in which a stiff contact may have led elsewhere.
+const ELSEWHERE: f64 = 0.15;
+
+/// What is left in the residuals of a part.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Left {
+    /// Covariance of neighbouring residuals, in units of the noise: noise has none, whatever its level.
+    pub excess: f64,
+    /// How many residuals count as one independent one.
+    pub colour: f64,
+    /// Mean square over that of the noise, its median over the steps.
+    pub median: f64,
+}
+
+impl Measured<'_> {
+    /// Errors of A and D step by step with what is estimated beside the model taken out, samples beside jumps left out; each with
+    /// the number of its window.
+    pub fn errors(&self, spec: &ModelSpec, part: Part, laid: &Laid) -> Option<Vec<(usize, OutputError)>> {
+        let (motion, common) = (self.motion, &laid.values[laid.values.len() - COMMON..]);
+        let (_, steps) = self.lay(spec, part, &laid.values, &laid.nuisances)?;
+        let of = |((step, own), k): ((&Step<'_>, &Nuisances), &usize)| {
+            let misfit = self.misfit(step.window, &step.simulated, common, own);
+            let (of_a, of_d) = misfit.split_at(step.simulated.len());
+            let laser = &motion.laser_m[step.window.range.clone()];
+            let mean = laser.iter().sum::<f64>() / laser.len().max(1) as f64;
+            let mut error = OutputError::default();
+            for (i, n) in step.window.range.clone().enumerate().filter(|(_, n)| self.counts()[*n]) {
+                error.sum_a += (motion.restoring_noise_m_s2 * of_a[i]).powi(2);
+                error.power_a += motion.restoring_m_s2[n].powi(2);
+                error.sum_d += (motion.laser_noise_m * of_d[i]).powi(2);
+                error.power_d += (laser[i] - mean).powi(2);
+                error.count += 1;
+            }
+            (*k, error)
+        };
+        Some(steps.iter().zip(&laid.nuisances).zip(self.windows(part)).map(of).collect())
+    }
+
+    /// What is left of the residuals of a part.
+    pub fn left(&self, spec: &ModelSpec, part: Part, laid: &Laid) -> Option<Left> {
+        let (_, steps) = self.lay(spec, part, &laid.values, &laid.nuisances)?;
+        let (mut power, mut count) = (0.0, 0usize);
+        let mut means: Vec<f64> = Vec::with_capacity(steps.len());
+        let mut neighbours: Vec<f64> = Vec::with_capacity(steps.len());
+        // Sums of products at lags that grow by a quarter, each standing for those it skips.
+        let mut lags: Vec<(usize, usize, f64)> = Vec::new();
+        let mut lag = 1;
+        while lag < 4096 {
+            let next = (lag + 1).max(lag * 5 / 4);
+            lags.push((lag, next - lag, 0.0));
+            lag = next;
+        }
+        for step in &steps {
+            let chi2 = dot(&step.residuals, &step.residuals);
+            let counted = self.count(step.window);
+            let weight = robust(chi2, counted).1;
+            means.push(chi2 / counted as f64);
+            let pairs =
+                step.residuals.chunks(step.simulated.len()).map(|c| dot(&c[NEAR..], &c[..c.len() - NEAR]));
+            neighbours.push(pairs.sum::<f64>() / counted as f64);
+            for channel in step.residuals.chunks(step.simulated.len()) {
+                power += weight * dot(channel, channel);
+                count += channel.len();
+                for (lag, _, sum) in lags.iter_mut().filter(|(lag, _, _)| *lag < channel.len() / 2) {
+                    *sum += weight * dot(&channel[*lag..], &channel[..channel.len() - *lag]);
+                }
+            }
+        }
+        let mut colour = 1.0;
+        for (_, stands_for, sum) in lags {
+            let rho = sum / power.max(1e-300);
+            if rho < 2.0 / (count as f64).sqrt() {
+                break;
+            }
+            colour += 2.0 * rho * stands_for as f64;
+        }
+        means.sort_by(f64::total_cmp);
+        neighbours.sort_by(f64::total_cmp);
+        neighbours.truncate(neighbours.len() - (ELSEWHERE * neighbours.len() as f64) as usize);
+        Some(Left {
+            excess: (neighbours.iter().sum::<f64>() / neighbours.len().max(1) as f64).max(0.0),
+            colour,
+            median: means.get(means.len() / 2).copied().unwrap_or(f64::INFINITY),
+        })
+    }
+}

@@ -1,0 +1,50 @@
+//! What a springpot remembers: its states forget by a power law, so that the whole record before a step counts. They depend on
+//! the motion alone and are carried along it once for all fits.
+
+use super::{Measured, Window};
+use crate::model::{self, EffectSpec, IsolatorSpec, ModelSpec, Specimen};
+
+impl Measured<'_> {
+    /// What a springpot remembers where the warming up of a step begins, the motion before it run through once.
+    pub(super) fn remembered(&self, window: &Window) -> &[f64] {
+        let all = self.remembered.get_or_init(|| {
+            let motion = self.motion;
+            let mut states = Vec::with_capacity(motion.windows.len());
+            let mut walk: Option<(usize, usize, Box<dyn Specimen>)> = None;
+            for window in &motion.windows {
+                let (from, source) = (motion.sources[window.source].first, window.source);
+                let (at, mut specimen) = match walk.take() {
+                    Some((of, at, specimen)) if of == source && at <= window.warm_from => (at, specimen),
+                    _ => match springpot(motion.dt_s()) {
+                        Some(specimen) => (from, specimen),
+                        None => return Vec::new(),
+                    },
+                };
+                for n in at..window.warm_from {
+                    specimen.impose(motion.displacement_m[n], motion.velocity_m_s[n]);
+                }
+                states.push(specimen.memory());
+                walk = Some((source, window.warm_from.max(at), specimen));
+            }
+            states
+        });
+        let index = self.motion.windows.iter().position(|w| std::ptr::eq(w, window));
+        index.and_then(|index| all.get(index)).map_or(&[], Vec::as_slice)
+    }
+}
+
+/// A specimen that is nothing but a springpot.
+fn springpot(dt_s: f64) -> Option<Box<dyn Specimen>> {
+    let isolator = IsolatorSpec { stiffness_n_m: vec![1.0], breakpoints_m: vec![], damping_n_s_m: 0.0 };
+    let parameters = [("ca".to_owned(), 1.0), ("alpha".to_owned(), 0.5)].into_iter().collect();
+    let spring = EffectSpec { name: "fractional-damping".into(), expression: None, parameters };
+    let spec = ModelSpec {
+        name: "springpot".into(),
+        mass_kg: 1.0,
+        isolator,
+        bumper: None,
+        effects: vec![spring],
+        uncertainty: None,
+    };
+    model::build(&spec, dt_s).ok()
+}
