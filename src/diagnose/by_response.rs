@@ -3,7 +3,7 @@
 
 use super::candidates;
 use super::search::{Searcher, Stage, best_first};
-use super::trial::{self, Trial};
+use super::trial::{self, Response, Trial};
 use super::verdict;
 use crate::identify::least_squares::Settings;
 use crate::identify::refit::Refit;
@@ -25,11 +25,20 @@ const SHARE: f64 = 0.05;
 /// The same for a further effect, which has to bring more.
 const FURTHER: f64 = 30.0;
 /// Median over the steps of the mean square over the noise above which a model is too far off for first order.
-pub(super) const FAR: f64 = 1.15;
+const FAR: f64 = 1.15;
+/// The same of the covariance of neighbouring residuals.
+const STRUCTURED: f64 = 0.01;
 /// Nats by which the base model has to do better when it is fitted again.
 const BETTER: f64 = 2.0;
 /// Nats that a simpler effect beside the one that contains it has to bring.
 const MERGED: f64 = 20.0;
+/// How a fit goes on.
+const FURTHER_ON: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
+/// Stribeck velocities that are tried beside Coulomb's friction, over the typical velocity; how much more than it breakaway takes; and
+/// nats to first order below which that is not fitted.
+const FALLS: [f64; 6] = [0.01, 0.03, 0.07, 0.15, 0.3, 0.6];
+const RISE: f64 = 0.1;
+const FALLING: f64 = 5.0;
 /// Change of the response, in units of the noise, that is faint enough for first order; attempts to make a start as faint.
 const FAINT: f64 = 0.3;
 const FAINTER: usize = 3;
@@ -107,7 +116,7 @@ impl Searcher<'_> {
         if !from.names.is_empty() && best < FURTHER {
             return Vec::new();
         }
-        let far = response.left[0].median > FAR;
+        let far = is_far(response);
         let worth = (SHARE * best).max(if far { 0.0 } else { WORTH });
         let by_force = if far { by_force } else { &[] };
         let mut effects: Vec<String> = Vec::new();
@@ -152,8 +161,56 @@ impl Searcher<'_> {
         });
         let mut finalists: Vec<Trial> = fitted.into_iter().flatten().collect();
         best_first(&mut finalists, from);
+        // A way from far off takes longer.
+        if let Some(best) = finalists.first_mut()
+            && let Some(response) = best.response.as_ref().filter(|response| is_far(response))
+            && let Some(arrived) = trial::respond(measured, best, Some(&response.training), FURTHER_ON)
+            && verdict::apart(&arrived, best) > 0.0
+        {
+            *best = arrived;
+        }
+        finalists.extend(self.falling(measured, finalists.first(), scales));
+        best_first(&mut finalists, from);
         finalists
     }
+
+    /// Stribeck's friction beside a Coulomb's that does best: what it does more is next to nothing beside what both do, which first order
+    /// about the model without friction does not tell.
+    fn falling(&self, measured: &Measured<'_>, best: Option<&Trial>, scales: &Scales) -> Option<Trial> {
+        let best = best.filter(|best| verdict::last_name(best) == "coulomb-friction")?;
+        let (index, laid) = (best.refit.spec.effects.len() - 1, &best.response.as_ref()?.training);
+        let constant = *best.refit.spec.effects[index].parameters.get("fc_n")?;
+        let tangent = measured.tangent(&best.refit.spec, &best.refit.numbers, laid)?;
+        let scored = parallel::map(&FALLS, parallel::cores(), |share| {
+            let mut spec = best.refit.spec.clone();
+            let effect = &mut spec.effects[index];
+            effect.name = "stribeck-friction".into();
+            effect.parameters.insert("fs_n".into(), (1.0 + RISE) * constant);
+            effect.parameters.insert("vs_m_s".into(), share * scales.velocity_m_s);
+            let score = tangent.score(&spec)?;
+            let more = (RISE * score.scale).clamp(0.1 * RISE, 20.0);
+            spec.effects[index].parameters.insert("fs_n".into(), (1.0 + more) * constant);
+            (score.scale > 0.0).then_some((score.nats, spec))
+        });
+        let (nats, spec) = scored.into_iter().flatten().max_by(|a, b| a.0.total_cmp(&b.0))?;
+        if nats < FALLING {
+            return None;
+        }
+        let mut refit = best.refit.clone();
+        let own = format!("effect[{index}].");
+        refit.numbers.numbers.retain(|number| !number.key.starts_with(&own));
+        refit.numbers.free.retain(|free| !free.key.starts_with(&own));
+        refit.numbers.add_effect(&spec, index, scales);
+        refit.spec = spec;
+        let mut names = best.names.clone();
+        *names.last_mut()? = "stribeck-friction".into();
+        trial::respond(measured, &Trial { names, refit, ..best.clone() }, Some(laid), FURTHER_ON)
+    }
+}
+
+/// Whether a model is too far off for first order.
+pub(super) fn is_far(response: &Response) -> bool {
+    response.left[0].median > FAR || response.excess() > STRUCTURED
 }
 
 /// A model with a scaled effect more, its own numbers following within their bounds.

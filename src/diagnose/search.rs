@@ -1,6 +1,6 @@
 //! The search for what is missing: base re-fitted, candidates one by one, then in combination.
 
-use super::by_response::FAR;
+use super::by_response::is_far;
 use super::candidates;
 use super::trial::{self, Trial};
 use super::verdict::{self, Thresholds};
@@ -182,7 +182,7 @@ impl<'a> Searcher<'a> {
         let Some(base) = trial::polish(&self.screening, &from.refit, Domain::Force, settled) else {
             return Stage { finalists: Vec::new(), screened: Vec::new() };
         };
-        let near = from.response.as_ref().is_some_and(|response| response.left[0].median <= FAR);
+        let near = from.response.as_ref().is_some_and(|response| !is_far(response));
         let mut best = if near { Vec::new() } else { self.screen(&base, &effects, &scales) };
         let reference = trial::objective(&base).max(1e-300);
         let floor = (self.screening.weighted_count(Part::Training) as f64).min(reference);
