@@ -5,7 +5,7 @@
 use super::engine::{noise_floor, nrmse};
 use super::search::{Effort, Searcher};
 use super::trial::{self, Trial};
-use super::{candidates, instruments};
+use super::{candidates, instruments, verdict};
 use crate::identify::kinematics::Tolerances;
 use crate::identify::least_squares::Settings;
 use crate::identify::motion::{Motion, MotionError};
@@ -152,7 +152,15 @@ fn fitted(
     let fine = Settings { iterations: 10, tolerance: 1e-6, ..Settings::default() };
     let refit = trial::polish(searcher.problem(), &best, Domain::Force, fine)?;
     let judged = trial::judge_by_force(searcher.problem(), std::slice::from_ref(&given.name), refit)?;
-    searcher.finish(&judged)
+    let by_force = searcher.finish(&judged);
+    // The starts that the response itself puts first, as a diagnosis has them.
+    let free = fixed_start.is_empty() && effect.place != Place::User;
+    let by_response =
+        if free { searcher.with_effect(base, effect, &(effect.name, judged.refit)) } else { None };
+    match (by_force, by_response) {
+        (Some(one), Some(other)) => Some(if verdict::apart(&other, &one) > 0.0 { other } else { one }),
+        (one, other) => one.or(other),
+    }
 }
 
 fn parameters(refit: &Refit, nominal: &ModelSpec, given: &EffectSpec) -> Vec<Fitted> {

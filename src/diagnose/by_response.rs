@@ -20,7 +20,7 @@ const STARTS: usize = 2;
 const REFINED: usize = 3;
 /// Nats to first order below which a candidate is not fitted, the first alone to be refused by name; and the share of the first
 /// one's.
-const WORTH: f64 = 15.0;
+const WORTH: f64 = 8.0;
 const SHARE: f64 = 0.05;
 /// The same for a further effect, which has to bring more.
 const FURTHER: f64 = 30.0;
@@ -132,7 +132,7 @@ impl Searcher<'_> {
         let mut starts: Vec<ModelSpec> = first.into_iter().map(|(_, spec)| spec).collect();
         starts.extend(by_force.iter().map(|(_, refit)| refit.spec.clone()));
         let short = Settings { iterations: 3, ..Settings::default() };
-        let long = Settings { iterations: 10, ..Settings::default() };
+        let long = Settings { iterations: 30, ..Settings::default() };
         let fit =
             |measured: &Measured<'_>, start: &ModelSpec, from_laid: Option<&Laid>, settings: Settings| {
                 let mut numbers = from.refit.numbers.clone();
@@ -172,6 +172,18 @@ impl Searcher<'_> {
         finalists.extend(self.falling(measured, finalists.first(), scales));
         best_first(&mut finalists, from);
         finalists
+    }
+
+    /// One effect alone on top of a fitted model, a fit of it by force at hand.
+    pub(super) fn with_effect(
+        &self,
+        from: &Trial,
+        effect: &'static Effect,
+        by_force: &(&'static str, Refit),
+    ) -> Option<Trial> {
+        let (measured, scales) = (self.measured.as_ref()?, candidates::scales(&from.refit.spec, self.motion));
+        let fitted = self.by_response(measured, from, std::slice::from_ref(by_force), &[effect], &scales);
+        fitted.into_iter().find(|trial| verdict::last_name(trial) == effect.name)
     }
 
     /// Stribeck's friction beside a Coulomb's that does best: what it does more is next to nothing beside what both do, which first order

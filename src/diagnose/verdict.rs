@@ -40,8 +40,11 @@ pub struct Thresholds {
     /// residuals considered): below it, chance and numerical error are explanation enough.
     pub gain: f64,
     /// The same where the simulated response decides, on the held-out steps and on those of the fit: each, and together. In
-    /// records with nothing missing the best of all effects brings up to some 13 together.
+    /// records with nothing missing the best of all effects brings up to some 6 together.
     pub response: [f64; 2],
+    /// Nats to first order that a generic shape of force brings beside a model with nothing missing, and beside an explanation,
+    /// from which on something is there that the catalogue does not have.
+    pub shape: [f64; 2],
     /// Covariance of neighbouring residuals of the response, in units of the noise, that is structure.
     pub structure: f64,
     /// Difference of log-likelihood below which two explanations are not told apart, nats.
@@ -54,7 +57,15 @@ pub struct Thresholds {
 
 impl Default for Thresholds {
     fn default() -> Self {
-        Self { gain: 12.0, response: [3.0, 20.0], structure: 0.03, tie: 6.0, left: 0.2, excess: 0.02 }
+        Self {
+            gain: 12.0,
+            response: [3.0, 12.0],
+            shape: [20.0, 60.0],
+            structure: 0.03,
+            tie: 6.0,
+            left: 0.2,
+            excess: 0.02,
+        }
     }
 }
 
@@ -182,14 +193,14 @@ pub fn decide(
 }
 
 /// A further effect has to bring so many times what the first has to.
-const FURTHER: f64 = 3.0;
+const FURTHER: f64 = 5.0;
 
 /// A shape has to do better than what was taken by so much more than a rival from the catalogue: it is the best of many.
 const OF_MANY: f64 = 4.0;
 
 /// The verdict where the simulated response decides.
 fn by_response(taken: &Trial, shaped: Shaped, ambiguous_with: &[String], thresholds: Thresholds) -> Verdict {
-    let most = if taken.names.is_empty() { 1.0 } else { FURTHER } * thresholds.response[1];
+    let most = thresholds.shape[usize::from(!taken.names.is_empty())];
     let better = shaped.instead > thresholds.tie + OF_MANY;
     if taken.excess() > thresholds.structure || shaped.beside > most || better {
         Verdict::OutsideCatalogue
