@@ -130,6 +130,9 @@ pub fn beside(spec: &ModelSpec, start: &EffectSpec) -> ModelSpec {
     with
 }
 
+/// Masses of a stand that are tried, each so many times the one before.
+const MASSES: i32 = 9;
+const HEAVIER: f64 = 1.35;
 /// Starts spread over the prior ranges of an effect with three numbers or more.
 const SPREAD: i32 = 6;
 
@@ -176,16 +179,15 @@ pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
         }));
     }
     if effect.name == "stand-compliance" {
-        // How it shows depends on both numbers together.
-        let linear = scales.contact_stiffness_n_m();
-        out.extend([4.0, 8.0, 16.0].into_iter().flat_map(|stiffer| {
-            [0.005, 0.01, 0.02, 0.04, 0.08].map(|share| {
+        // How it shows depends on both numbers together, and much on how fast it rings.
+        for stiffer in [4.0, 8.0, 16.0] {
+            for k in 0..MASSES {
                 let mut spec = effect.starting_spec(scales);
-                spec.parameters.insert("ks_n_m".to_owned(), stiffer * linear);
-                spec.parameters.insert("ms_kg".to_owned(), share * scales.mass_kg);
-                spec
-            })
-        }));
+                spec.parameters.insert("ks_n_m".to_owned(), stiffer * scales.contact_stiffness_n_m());
+                spec.parameters.insert("ms_kg".to_owned(), 0.005 * scales.mass_kg * HEAVIER.powi(k));
+                out.push(spec);
+            }
+        }
     }
     out
 }

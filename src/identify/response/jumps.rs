@@ -64,9 +64,9 @@ pub(super) fn spread_jumps(
         0.5 * (velocity_m_s[i + 1] - velocity_m_s[i - 1]) * rate_hz + table
     };
     let mut beside = [mean(1), mean(2)];
-    for i in 2..n - 2 {
+    for (i, of) in simulated.iter_mut().enumerate().take(n - 2).skip(2) {
         let after = mean(i + 1);
-        simulated[i].0 = (8.0 * beside[1] - beside[0] - after) / 6.0;
+        of.0 = (8.0 * beside[1] - beside[0] - after) / 6.0;
         beside = [beside[1], after];
     }
 }
