@@ -126,6 +126,12 @@ impl<'a> Searcher<'a> {
         };
         let mut errors = measured.errors(spec, Part::Training, &response.training)?;
         errors.extend(measured.errors(spec, Part::HeldOut, &response.held_out)?);
+        // Of long records the response is laid against a part of the steps.
+        if errors.len() < self.motion.windows.len() {
+            let all = problem.output_errors(spec, trial.refit.zero_m, Part::All)?;
+            let rest = all.into_iter().filter(|(k, _)| errors.iter().all(|(known, _)| known != k));
+            errors.extend(rest.collect::<Vec<_>>());
+        }
         errors.sort_by_key(|(k, _)| *k);
         Some(errors)
     }
