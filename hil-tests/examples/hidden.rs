@@ -1,6 +1,7 @@
 //! Study of the diagnosis on records with a hidden effect: makes cases from seeds, diagnoses each,
 //! prints one line a case (tab separated) and a summary: verdicts, how many 95 % intervals hold the truth where it was named,
-//! held-out error over noise floor. With `--told true` wrong verdicts are laid beside the specimen itself. Never quote seeds that were developed on.
+//! held-out error over noise floor. With `--told true` wrong verdicts are laid beside the specimen itself. Never quote seeds
+//! that were developed on.
 //!
 //! `cargo run --release -p hil-tests --example hidden -- blind --seeds 1000..1200 --size 0.05 --noise 1`
 
@@ -36,7 +37,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     let all = hidden::studied();
     let mut tally: BTreeMap<&str, usize> = BTreeMap::new();
-    let (mut cases, mut base, mut effect) = (0, Coverage::default(), Coverage::default());
+    let (mut cases, mut effect) = (0, Coverage::default());
     let mut over_floor: Vec<f64> = Vec::new();
     let mut deviations: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     for seed in seeds {
@@ -93,11 +94,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         *tally.entry(found.verdict.name()).or_default() += 1;
         if right {
             let (own, of_effects) = (base_intervals(&found, &case), effect_intervals(&found, &case));
-            own.into_iter().for_each(|(key, off)| {
-                base.count(off.abs() <= 1.96);
-                let of_key: &mut Vec<f64> = deviations.entry(key).or_default();
-                of_key.push(off);
-            });
+            own.into_iter().for_each(|(key, off)| deviations.entry(key).or_default().push(off));
             of_effects.into_iter().for_each(|inside| effect.count(inside));
             over_floor.push(found.error_after / found.noise_floor);
         }
@@ -137,13 +134,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
     }
     println!("{cases} cases: {tally:?}");
+    let mut base = Coverage::default();
     for (key, off) in &deviations {
         let rms = (off.iter().map(|x| x * x).sum::<f64>() / off.len() as f64).sqrt();
-        let inside = off.iter().filter(|x| x.abs() <= 1.96).count();
-        println!(
-            "{key}: {inside} of {} intervals hold the truth; rms {rms:.2} standard deviations",
-            off.len()
-        );
+        let mut of_key = Coverage::default();
+        off.iter().for_each(|x| of_key.count(x.abs() <= 1.96));
+        base = Coverage { inside: base.inside + of_key.inside, all: base.all + of_key.all };
+        println!("{key}: {of_key} intervals hold the truth; rms {rms:.2} standard deviations");
     }
     over_floor.sort_by(f64::total_cmp);
     let quantile =

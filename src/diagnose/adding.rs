@@ -122,8 +122,8 @@ pub fn add(
     })
 }
 
-/// The effect fitted from several starts by force on a thinned record, the best in full and then by
-/// the simulated response.
+/// The effect fitted from several starts by force on a thinned record, the best in full and then by the simulated response; from the
+/// starts that the response itself puts first, too.
 fn fitted(
     searcher: &Searcher<'_>,
     motion: &Motion,
@@ -155,8 +155,7 @@ fn fitted(
     let by_force = searcher.finish(&judged);
     // The starts that the response itself puts first, as a diagnosis has them.
     let free = fixed_start.is_empty() && effect.place != Place::User;
-    let by_response =
-        if free { searcher.with_effect(base, effect, &(effect.name, judged.refit)) } else { None };
+    let by_response = if free { searcher.with_effect(base, effect, judged.refit) } else { None };
     match (by_force, by_response) {
         (Some(one), Some(other)) => Some(if verdict::apart(&other, &one) > 0.0 { other } else { one }),
         (one, other) => one.or(other),

@@ -105,7 +105,9 @@ impl Searcher<'_> {
                 let fainter = |start: &EffectSpec, factor: f64| candidates::fainter(start, factor, scales);
                 let (start, score) = to_first_order(&tangent, start.clone(), with, fainter)?;
                 let (scaled, scale) = candidates::scaled(&start, score.scale, scales)?;
-                Some((score.nats, follow(from, with(&scaled), &score, scale)?))
+                // The model's own numbers follow.
+                let spec = from.refit.numbers.moved(with(&scaled), &score.followed, scale)?;
+                Some((score.nats, spec))
             });
             first = scored.into_iter().flatten().collect();
             first.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -179,10 +181,10 @@ impl Searcher<'_> {
         &self,
         from: &Trial,
         effect: &'static Effect,
-        by_force: &(&'static str, Refit),
+        by_force: Refit,
     ) -> Option<Trial> {
         let (measured, scales) = (self.measured.as_ref()?, candidates::scales(&from.refit.spec, self.motion));
-        let fitted = self.by_response(measured, from, std::slice::from_ref(by_force), &[effect], &scales);
+        let fitted = self.by_response(measured, from, &[(effect.name, by_force)], &[effect], &scales);
         fitted.into_iter().find(|trial| verdict::last_name(trial) == effect.name)
     }
 
@@ -210,8 +212,7 @@ impl Searcher<'_> {
         }
         let mut refit = best.refit.clone();
         let own = format!("effect[{index}].");
-        refit.numbers.numbers.retain(|number| !number.key.starts_with(&own));
-        refit.numbers.free.retain(|free| !free.key.starts_with(&own));
+        refit.numbers.retain(|key| !key.starts_with(&own));
         refit.numbers.add_effect(&spec, index, scales);
         refit.spec = spec;
         let mut names = best.names.clone();
@@ -225,17 +226,7 @@ pub(super) fn is_far(response: &Response) -> bool {
     response.left[0].median > FAR || response.excess() > STRUCTURED
 }
 
-/// A model with a scaled effect more, its own numbers following within their bounds.
-pub(super) fn follow(from: &Trial, mut spec: ModelSpec, score: &Score, scale: f64) -> Option<ModelSpec> {
-    let mut numbers = from.refit.numbers.clone();
-    numbers.start_from(&spec);
-    let moved = numbers.free.iter().zip(&score.followed);
-    let moved: Vec<f64> =
-        moved.map(|(free, by)| (free.start + by * scale).clamp(free.bounds.0, free.bounds.1)).collect();
-    numbers.put(&moved, &mut spec).then_some(spec)
-}
-
-/// What a start brings, made fainter where it is too much for first order.
+/// What a start brings, made fainter where it is too much for first order and may be.
 pub(super) fn to_first_order(
     tangent: &Tangent<'_, '_>,
     mut start: EffectSpec,
@@ -243,13 +234,11 @@ pub(super) fn to_first_order(
     fainter: impl Fn(&EffectSpec, f64) -> Option<EffectSpec>,
 ) -> Option<(EffectSpec, Score)> {
     let mut score = tangent.score(&with(&start))?;
-    // A stand is another one when it is fainter: its frequency goes with its stiffness.
-    let given = start.name == "stand-compliance";
-    for _ in 0..if given { 0 } else { FAINTER } {
+    for _ in 0..FAINTER {
         if score.change < FAINT {
             break;
         }
-        let weaker = fainter(&start, 0.5 * FAINT / score.change)?;
+        let Some(weaker) = fainter(&start, 0.5 * FAINT / score.change) else { break };
         match tangent.score(&with(&weaker)) {
             Some(of) if of.change < 0.7 * score.change => (start, score) = (weaker, of),
             _ => break,

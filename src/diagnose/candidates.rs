@@ -92,11 +92,12 @@ pub fn scaled(start: &EffectSpec, factor: f64, scales: &Scales) -> Option<(Effec
 /// Largest exponent of a contact that a fit starts from.
 const MOST_BENT: f64 = 3.0;
 
-/// A start that does less.
+/// A start that does less; `None` of a spring in series, which is another one when it is fainter: its frequency goes with its
+/// stiffness.
 pub fn fainter(start: &EffectSpec, factor: f64, scales: &Scales) -> Option<EffectSpec> {
     let effect = effects::find(&start.name).ok()?;
     let leading = (effect.parameters)(scales).into_iter().find(|p| p.default.is_none())?;
-    grown(start, &leading, factor, scales)
+    if leading.in_series { None } else { grown(start, &leading, factor, scales) }
 }
 
 /// A start whose effect is so many times as strong.

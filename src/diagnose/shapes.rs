@@ -3,7 +3,7 @@
 //! more than chance; a force that is really there brings one that is like it. The verdict "outside the catalogue" stands on it
 //! wherever a base record drives a simulation.
 
-use super::by_response::{follow, to_first_order};
+use super::by_response::to_first_order;
 use super::search::Searcher;
 use super::trial::{self, Trial};
 use super::{candidates, verdict};
@@ -23,7 +23,7 @@ pub struct Shape {
 }
 
 /// What forces of some shape would bring, nats.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shaped {
     /// Beside an explanation, on the steps of the fit to first order.
     pub beside: f64,
@@ -75,7 +75,8 @@ impl Searcher<'_> {
         let with = |start: &EffectSpec| candidates::beside(&trial.refit.spec, start);
         let scored = parallel::map(&SHAPES, parallel::cores(), |expression| {
             let (spec, score) = to_first_order(&tangent, faint(expression, &scales), with, grown)?;
-            let with = follow(trial, with(&grown(&spec, score.scale)?), &score, score.scale)?;
+            let grown = with(&grown(&spec, score.scale)?);
+            let with = trial.refit.numbers.moved(grown, &score.followed, score.scale)?;
             Some(Shape { expression, nats: score.nats, with })
         });
         scored.into_iter().flatten().max_by(|a, b| a.nats.total_cmp(&b.nats))
@@ -92,8 +93,7 @@ impl Searcher<'_> {
         // The amplitude alone.
         let amplitude = format!("effect[{}].f", spec.effects.len() - 1);
         let kept = |key: &str| key == amplitude || base.refit.numbers.numbers.iter().any(|n| n.key == key);
-        refit.numbers.numbers.retain(|number| kept(&number.key));
-        refit.numbers.free.retain(|free| kept(&free.key));
+        refit.numbers.retain(kept);
         refit.spec = spec;
         let start = Trial { names: vec!["expression".into()], refit, ..base.clone() };
         let settings = Settings { iterations: 8, ..Settings::default() };

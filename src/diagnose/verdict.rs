@@ -177,7 +177,7 @@ pub fn decide(
     let share = taken.share_left(base);
     let left = if seen { share.min(structure(&taken).explained / of_base.max(1e-300)) } else { share };
     let verdict = if taken.response.is_some() {
-        by_response(&taken, shaped(&taken), &ambiguous_with, thresholds)
+        by_response(&taken, shaped, &ambiguous_with, thresholds)
     } else if taken.names.is_empty() {
         // Nothing in the catalogue helps; is anything left at all?
         let structured = of_base > STRUCTURED * excess || excess > UNMISTAKABLE;
@@ -199,10 +199,18 @@ const FURTHER: f64 = 5.0;
 const OF_MANY: f64 = 4.0;
 
 /// The verdict where the simulated response decides.
-fn by_response(taken: &Trial, shaped: Shaped, ambiguous_with: &[String], thresholds: Thresholds) -> Verdict {
-    let most = thresholds.shape[usize::from(!taken.names.is_empty())];
-    let better = shaped.instead > thresholds.tie + OF_MANY;
-    if taken.excess() > thresholds.structure || shaped.beside > most || better {
+fn by_response(
+    taken: &Trial,
+    shaped: impl Fn(&Trial) -> Shaped,
+    ambiguous_with: &[String],
+    thresholds: Thresholds,
+) -> Verdict {
+    // Shapes are asked only where the residuals themselves do not tell.
+    let told_by_shape = || {
+        let (most, shaped) = (thresholds.shape[usize::from(!taken.names.is_empty())], shaped(taken));
+        shaped.beside > most || shaped.instead > thresholds.tie + OF_MANY
+    };
+    if taken.excess() > thresholds.structure || told_by_shape() {
         Verdict::OutsideCatalogue
     } else if taken.names.is_empty() {
         Verdict::Adequate

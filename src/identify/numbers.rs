@@ -147,6 +147,22 @@ impl Numbers {
         self.free.push(free);
     }
 
+    /// Forgets the numbers whose keys are not to be kept.
+    pub fn retain(&mut self, kept: impl Fn(&str) -> bool) {
+        self.numbers.retain(|number| kept(&number.key));
+        self.free.retain(|free| kept(&free.key));
+    }
+
+    /// A model with its numbers moved by so many times what is given, within their bounds; `None` when a key is not there.
+    pub fn moved(&self, mut spec: ModelSpec, by: &[f64], times: f64) -> Option<ModelSpec> {
+        let mut numbers = self.clone();
+        numbers.start_from(&spec);
+        let moved = numbers.free.iter().zip(by);
+        let moved: Vec<f64> =
+            moved.map(|(free, by)| (free.start + by * times).clamp(free.bounds.0, free.bounds.1)).collect();
+        numbers.put(&moved, &mut spec).then_some(spec)
+    }
+
     /// Puts the fit's values into a model. False when a key is not there.
     pub fn put(&self, values: &[f64], spec: &mut ModelSpec) -> bool {
         self.numbers.iter().zip(values).all(|(number, value)| {

@@ -1,7 +1,7 @@
 //! Jumps of the acceleration, where a damped contact begins or friction turns: spread over the samples beside them in a simulation, and
 //! left out of the sums, where the record or a fitted response has them. Called by every simulation and once by the search.
 
-use super::{COMMON, Laid, Measured, Simulated};
+use super::{COMMON, Laid, Measured, Simulated, Specimens};
 use crate::identify::problem::Part;
 use crate::model::ModelSpec;
 
@@ -13,6 +13,22 @@ const AROUND: usize = 2;
 /// A simulated acceleration that spreading changes by more than this, in units of the noise, has a jump beside it.
 const SPREAD: f64 = 0.2;
 
+/// A simulated step with what spreading its jumps takes: relative velocity and table acceleration at each sample.
+pub(super) struct Sampled {
+    pub(super) simulated: Simulated,
+    pub(super) velocity_m_s: Vec<f64>,
+    pub(super) table_m_s2: Vec<f64>,
+}
+
+impl Sampled {
+    /// Spreads its jumps, where the table moves as it is driven.
+    pub(super) fn spread(&mut self, specimens: &Specimens, rate_hz: f64) {
+        if !specimens.kicks {
+            spread_jumps(&mut self.simulated, &self.velocity_m_s, &self.table_m_s2, rate_hz);
+        }
+    }
+}
+
 impl Measured<'_> {
     /// Whether each sample of the acceleration counts.
     pub(super) fn counts(&self) -> &[bool] {
@@ -22,21 +38,21 @@ impl Measured<'_> {
     /// Lets the samples beside the jumps of a fitted response not count, those that noise hides in the record too: a record tells a
     /// jump's instant to half a sample at best, a fit would have it tell more. Once; says whether it was done.
     pub fn learn_jumps(&self, spec: &ModelSpec, laid: [(Part, &Laid); 2]) -> bool {
-        let Some(mut specimens) = self.specimens(spec) else { return false };
         if self.told.get().is_some() {
             return false;
         }
+        let Some(mut specimens) = self.specimens(spec) else { return false };
         let mut counts = self.counts.clone();
         for (part, laid) in laid {
             let zero_m = laid.values[laid.values.len() - COMMON];
             for (k, own) in self.windows(part).iter().zip(&laid.nuisances) {
                 let window = &self.motion.windows[*k];
-                let (simulated, spread) = self.responses(&mut specimens, window, zero_m, own);
-                let (first, end) = (window.range.start, counts.len());
-                for (i, (of, spread)) in simulated.iter().zip(&spread).enumerate() {
+                let mut sampled = self.sampled(&mut specimens, window, zero_m, own);
+                let simulated = sampled.simulated.clone();
+                sampled.spread(&specimens, self.motion.sample_rate_hz);
+                for (i, (of, spread)) in simulated.iter().zip(&sampled.simulated).enumerate() {
                     if (of.0 - spread.0).abs() > SPREAD * self.motion.restoring_noise_m_s2 {
-                        let at = first + i;
-                        counts[at.saturating_sub(AROUND)..(at + AROUND + 1).min(end)].fill(false);
+                        leave_out(&mut counts, window.range.start + i);
                     }
                 }
             }
@@ -76,8 +92,14 @@ pub(super) fn beside_jumps(acceleration: &[f64], noise: f64) -> Vec<bool> {
     let mut counts = vec![true; acceleration.len()];
     for (n, x) in acceleration.windows(3).enumerate() {
         if (x[2] - 2.0 * x[1] + x[0]).abs() > JUMP * noise {
-            counts[(n + 1).saturating_sub(AROUND)..(n + 2 + AROUND).min(acceleration.len())].fill(false);
+            leave_out(&mut counts, n + 1);
         }
     }
     counts
+}
+
+/// The samples about a jump do not count.
+fn leave_out(counts: &mut [bool], jump: usize) {
+    let end = (jump + AROUND + 1).min(counts.len());
+    counts[jump.saturating_sub(AROUND)..end].fill(false);
 }

@@ -16,7 +16,7 @@ mod tests;
 pub use left::Left;
 pub use tangent::{Score, Tangent};
 
-use jumps::{beside_jumps, spread_jumps};
+use jumps::{Sampled, beside_jumps};
 
 use super::least_squares::{Free, dot};
 use super::motion::{Motion, Window};
@@ -219,17 +219,13 @@ impl<'a> Measured<'a> {
 
     /// Simulates a step from the measured state, moved by so much, jumps spread.
     fn simulate(&self, specimens: &mut Specimens, window: &Window, zero_m: f64, start: &[f64]) -> Simulated {
-        self.responses(specimens, window, zero_m, start).1
+        let mut sampled = self.sampled(specimens, window, zero_m, start);
+        sampled.spread(specimens, self.motion.sample_rate_hz);
+        sampled.simulated
     }
 
-    /// The same as it is, and with its jumps spread; hidden states are warmed up along the measured motion.
-    fn responses(
-        &self,
-        specimens: &mut Specimens,
-        window: &Window,
-        zero_m: f64,
-        start: &[f64],
-    ) -> (Simulated, Simulated) {
+    /// The same with its jumps as they are; hidden states are warmed up along the measured motion.
+    fn sampled(&self, specimens: &mut Specimens, window: &Window, zero_m: f64, start: &[f64]) -> Sampled {
         let motion = self.motion;
         let specimen = &mut *specimens.each[window.source];
         specimen.reset();
@@ -265,11 +261,7 @@ impl<'a> Measured<'a> {
             simulated.push((response.mass_acceleration_m_s2, response.relative_displacement_m));
             velocity_m_s.push(response.relative_velocity_m_s);
         });
-        let mut spread = simulated.clone();
-        if !specimens.kicks {
-            spread_jumps(&mut spread, &velocity_m_s, &table, motion.sample_rate_hz);
-        }
-        (simulated, spread)
+        Sampled { simulated, velocity_m_s, table_m_s2: table }
     }
 
     /// Weights of the two knots beside a sample, and the left one's number.

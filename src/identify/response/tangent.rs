@@ -107,11 +107,7 @@ impl Tangent<'_, '_> {
         let mut values = self.laid.values.clone();
         let mut spec = with.clone();
         if let Some(score) = moved {
-            let mut numbers = self.numbers.clone();
-            numbers.start_from(with);
-            let own = numbers.free.iter().zip(&score.followed);
-            let own: Vec<f64> = own.map(|(f, by)| (f.start + by).clamp(f.bounds.0, f.bounds.1)).collect();
-            numbers.put(&own, &mut spec).then_some(())?;
+            spec = self.numbers.moved(spec, &score.followed, 1.0)?;
             values.iter_mut().zip(&score.followed).for_each(|(x, by)| *x += by);
         }
         let common = &values[values.len() - COMMON..];
