@@ -338,6 +338,9 @@ impl<'a> Searcher<'a> {
             if search.base.response.is_some() { self.effort.together.min(2) } else { self.effort.together };
         for depth in 0..together {
             let mut from = search.best().clone();
+            if from.names.len() >= together {
+                break;
+            }
             if depth > 0
                 && from.response.is_none()
                 && (from.share_left(&search.base) < enough || from.excess() < thresholds.excess)
@@ -363,7 +366,20 @@ impl<'a> Searcher<'a> {
                 best_first(&mut stage.finalists, &search.base);
             }
             self.merge(&mut stage, &search.base);
-            let gained = stage.finalists.first().is_some_and(|best| verdict::brings(best, &from, thresholds));
+            let brings = |stage: &Stage| {
+                stage.finalists.first().is_some_and(|best| verdict::brings(best, &from, thresholds))
+            };
+            let mut gained = brings(&stage);
+            // What two bring together neither may bring alone: play where the force has an offset.
+            if component
+                && !gained
+                && from.names.len() + 2 <= together
+                && let Some(best) = stage.finalists.first()
+            {
+                stage.finalists.extend(self.stage(best).finalists);
+                best_first(&mut stage.finalists, &from);
+                gained = brings(&stage);
+            }
             search.stages.push(stage);
             if !gained {
                 break;

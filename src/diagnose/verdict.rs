@@ -36,10 +36,10 @@ impl Verdict {
 /// Thresholds of the decision, each with its reason.
 #[derive(Clone, Copy, Debug)]
 pub struct Thresholds {
-    /// Gain of log-likelihood on held-out steps that an effect must bring (nats, coloured
-    /// residuals considered): below it, chance and numerical error are explanation enough.
-    pub gain: f64,
-    /// The same where the simulated response decides, on the held-out steps and on those of the fit: each, and together. In
+    /// Gain of log-likelihood that an effect must bring on the held-out steps and on those of the fit, each, and together (nats,
+    /// coloured residuals considered): below it, chance and numerical error are explanation enough.
+    pub gain: [f64; 2],
+    /// The same where the simulated response decides. In
     /// records with nothing missing the best of all effects brings up to some 6 together.
     pub response: [f64; 2],
     /// Nats to first order that a generic shape of force brings beside a model with nothing missing, and beside an explanation,
@@ -58,7 +58,7 @@ pub struct Thresholds {
 impl Default for Thresholds {
     fn default() -> Self {
         Self {
-            gain: 12.0,
+            gain: [3.0, 24.0],
             response: [3.0, 12.0],
             shape: [20.0, 60.0],
             structure: 0.03,
@@ -231,7 +231,8 @@ pub fn brings(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
             thresholds.response.map(|nats| if from.names.is_empty() { nats } else { FURTHER * nats });
         held_out > each && fitted > each && held_out + fitted > together
     } else {
-        held_out > thresholds.gain && fitted > thresholds.gain
+        let [each, together] = thresholds.gain;
+        held_out > each && fitted > each && held_out + fitted > together
     }
 }
 

@@ -118,7 +118,9 @@ impl<'a> Problem<'a> {
         // At least 100 samples a cycle of the fastest step, so that a contact is not skipped.
         let coarsest = ((motion.sample_rate_hz / (100.0 * highest)) as usize).max(1);
         let thin = total.div_ceil(most_samples.max(1)).clamp(1, coarsest);
-        let drift_m = DRIFT * motion.rms(&motion.displacement_m);
+        // The motion of a component is imposed, and read where it is.
+        let drift = if motion.kind == Kind::Component { 0.0 } else { DRIFT };
+        let drift_m = drift * motion.rms(&motion.displacement_m);
         let mut problem =
             Self { motion, thin, weights: Vec::new(), slopes: Vec::new(), drift_m, brief: brief(motion) };
         problem.weigh(spec, 0.0, WIDE);
@@ -259,6 +261,9 @@ impl<'a> Problem<'a> {
     /// Takes the drift of the displacement sensor in one window out of its residuals: a line from cycle to cycle
     /// within its prior (a first-order autoregression), which the residuals show through the slope of the force.
     fn take_out_drift(&self, k: usize, residuals: &mut [f64]) {
+        if self.drift_m == 0.0 {
+            return;
+        }
         let window = &self.motion.windows[k];
         let cycle = self.motion.sample_rate_hz / (window.frequency_hz.max(1e-9) * self.thin as f64);
         let cycle = cycle.clamp(2.0, residuals.len().max(2) as f64);

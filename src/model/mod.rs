@@ -100,7 +100,8 @@ pub trait Specimen: Send {
     /// Moves the mass along an imposed motion by one sample interval (relative displacement m and
     /// velocity m/s at its end): hidden states (bumper tips, hysteresis, friction) follow. The
     /// response holds the imposed motion and, as `mass_acceleration_m_s2`, minus the restoring
-    /// force over the mass. A following [`Specimen::step`] starts from there, which is how a
+    /// force over the mass. The first after a reset starts at zero displacement with nothing deformed. A following
+    /// [`Specimen::step`] starts from there, which is how a
     /// simulation is started in the middle of a record.
     fn impose(&mut self, relative_displacement_m: f64, relative_velocity_m_s: f64) -> Response;
 

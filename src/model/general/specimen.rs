@@ -27,6 +27,8 @@ pub struct General<const N: usize> {
     pub(super) turns: bool,
     /// Terms have states of their own.
     pub(super) integrates: bool,
+    /// Nothing has moved it since its reset.
+    at_rest: bool,
 }
 
 /// Rates, forces and guards at the present instant.
@@ -64,6 +66,7 @@ impl<const N: usize> General<N> {
             largest: [0.0; 2],
             turns,
             integrates,
+            at_rest: true,
         };
         solver.reset();
         solver
@@ -410,6 +413,7 @@ impl<const N: usize> Specimen for General<N> {
     fn reset(&mut self) {
         self.y = [0.0; N];
         self.y[0] = self.system.equilibrium_m();
+        self.at_rest = true;
         (self.time_s, self.table) = (0.0, Some(0.0));
         self.preferred_s = self.system.sample_period_s;
         let (length, frequency) = self.system.magnitudes();
@@ -431,7 +435,7 @@ impl<const N: usize> Specimen for General<N> {
         let start = self.table.unwrap_or(table_acceleration_m_s2);
         let line = Line { start, slope: (table_acceleration_m_s2 - start) / dt };
         let forces = self.advance(dt, line, Motion::Free, &mut |_, _, _, _| {});
-        self.table = Some(table_acceleration_m_s2);
+        self.prime(table_acceleration_m_s2);
         self.response(&forces)
     }
 
@@ -459,6 +463,12 @@ impl<const N: usize> Specimen for General<N> {
 
     fn impose(&mut self, relative_displacement_m: f64, relative_velocity_m_s: f64) -> Response {
         let dt = self.system.sample_period_s;
+        // An imposed motion starts with everything undeformed: where a constant force would hold the mass is no place it comes from.
+        if self.at_rest {
+            self.at_rest = false;
+            self.y[0] = 0.0;
+            self.settle_mode();
+        }
         let (d0, v0, d1, v1) = (self.y[0], self.y[1], relative_displacement_m, relative_velocity_m_s);
         // Acceleration of the cubic through both ends.
         let mean = (d1 - d0) / dt;
@@ -491,6 +501,7 @@ impl<const N: usize> Specimen for General<N> {
     }
 
     fn prime(&mut self, table_acceleration_m_s2: f64) {
+        self.at_rest = false;
         self.table = Some(table_acceleration_m_s2);
     }
 

@@ -72,6 +72,23 @@ fn imposing_the_simulated_motion_returns_the_simulated_force() {
 }
 
 #[test]
+fn an_imposed_motion_starts_undeformed_whatever_pulls_at_the_mass() {
+    // In its equilibrium the soft spring would be stretched by a metre, its hysteresis and the joint with it.
+    let mut free = oscillator(1.0, 1e3, 10.0);
+    free.effects.push(effect("bouc-wen-hysteresis", &[("kh_n_m", 1e5), ("dy_m", 2e-3)]));
+    free.effects.push(effect("backlash", &[("b_m", 1e-3)]));
+    let mut pulled = free.clone();
+    pulled.effects.push(effect("constant-force", &[("f_n", 1e3)]));
+    let [mut free, mut pulled] = [free, pulled].map(|spec| build(&spec, DT).expect("builds"));
+    for i in 1..=2048 {
+        let (sin, cos) = (TAU * f64::from(i) * DT).sin_cos();
+        let [one, other] =
+            [&mut free, &mut pulled].map(|s| s.impose(0.01 * sin, 0.01 * TAU * cos).mass_acceleration_m_s2);
+        assert!((one - other - 1e3).abs() < 1e-6, "sample {i}: {one} {other}");
+    }
+}
+
+#[test]
 fn a_start_in_the_middle_of_a_record_goes_on_at_its_time() {
     let mut spec = oscillator(500.0, 20e3, 1100.0);
     spec.effects.push(effect("stiffness-degradation", &[("delta", 0.3), ("tau_s", 5.0)]));
