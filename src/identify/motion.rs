@@ -116,7 +116,7 @@ impl Motion {
         };
         motion.windows = cut(record, &motion);
         motion.remove_acceleration_zeros();
-        motion.remove_noise_of_the_table(&record.table_displacement_m);
+        motion.remove_noise_of_the_table();
         Ok(motion)
     }
 

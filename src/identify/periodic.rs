@@ -23,8 +23,6 @@ const KICKS: f64 = 5.0;
 const KICKED: f64 = 0.6;
 /// Samples in which a table comes back to its course after a kick, some 15 ms.
 const RECOVERY: usize = 4 * KICK;
-/// A displacement belongs to an acceleration when their fundamentals agree within this share.
-const ALONG: f64 = 0.03;
 /// Times that kicks are looked for beside what the rest of the stretch says the harmonics are.
 const LOOKS: usize = 3;
 
@@ -40,9 +38,6 @@ pub struct Periodic {
     pub white: bool,
     /// rad a sample.
     angle: f64,
-    /// Amplitude of the fundamental.
-    amplitude: f64,
-    rate_hz: f64,
 }
 
 /// Takes a channel apart that moves with about the given frequency; `None` when it does not.
@@ -93,38 +88,38 @@ pub fn periodic(channel: &[f64], frequency_hz: f64, rate_hz: f64) -> Option<Peri
         let kicked = kicks.iter().filter(|still| !**still).count() as f64;
         let white =
             kicked <= KICKED * channel.len() as f64 && is_white(&quiet, variance, (cycle / PARTS) as usize);
-        return Some(Periodic {
-            wave,
-            rest,
-            still: kicks,
-            white,
-            angle: w,
-            amplitude: x[1].hypot(x[2]),
-            rate_hz,
-        });
+        return Some(Periodic { wave, rest, still: kicks, white, angle: w });
     }
 }
 
 impl Periodic {
-    /// What a displacement with this acceleration shows beside the harmonics, and its white noise; `None` when it does not move
-    /// along.
-    pub fn beside(&self, displacement_m: &[f64]) -> Option<(Vec<f64>, f64)> {
-        if displacement_m.len() != self.wave.len() || displacement_m.iter().any(|x| !x.is_finite()) {
-            return None;
+    /// What is left beside the harmonics as its mean over the cycles, and the number of these; `None` where the cycles differ by more
+    /// than noise. Impacts in a steady step kick the table alike in every cycle.
+    pub fn alike(&self) -> Option<(Vec<f64>, f64)> {
+        let (rest, phases) = (&self.rest, (TAU / self.angle) as usize);
+        let at = |n: usize| {
+            let phase = (n as f64 * self.angle / TAU).fract() * phases as f64;
+            let first = (phase as usize).min(phases - 1);
+            (first, (first + 1) % phases, phase - first as f64)
+        };
+        let (mut sum, mut weight) = (vec![0.0; phases], vec![0.0; phases]);
+        for (n, r) in rest.iter().enumerate() {
+            let (first, next, share) = at(n);
+            for (phase, share) in [(first, 1.0 - share), (next, share)] {
+                sum[phase] += share * r;
+                weight[phase] += share;
+            }
         }
-        let middle = 0.5 * displacement_m.len() as f64;
-        let row = |n: usize| harmonics(self.angle * (n as f64 - middle));
-        let x = regress(displacement_m, &self.still, row)?;
-        let amplitude = x[1].hypot(x[2]) * (self.angle * self.rate_hz).powi(2);
-        let along = (amplitude / self.amplitude.max(1e-300) - 1.0).abs() < ALONG;
-        let at = |(n, y): (usize, &f64)| y - row(n).iter().zip(&x).map(|(a, b)| a * b).sum::<f64>();
-        let noise = white_variance(displacement_m).sqrt();
-        (along && noise > 0.0).then(|| (displacement_m.iter().enumerate().map(at).collect(), noise))
-    }
-
-    /// Noise of the channel, rms, by the differences of neighbours.
-    pub fn noise(&self) -> f64 {
-        white_variance(&self.rest).sqrt()
+        let mean = |phase: usize| sum[phase] / f64::max(weight[phase], 1e-9);
+        let alike = |n: usize| {
+            let (first, next, share) = at(n);
+            mean(first) * (1.0 - share) + mean(next) * share
+        };
+        let alike: Vec<f64> = (0..rest.len()).map(alike).collect();
+        let apart: Vec<f64> = rest.iter().zip(&alike).map(|(r, a)| r - a).collect();
+        let variance = white_variance(rest);
+        let noise = [KICK, (phases as f64 / PARTS) as usize].iter().all(|n| is_white(&apart, variance, *n));
+        noise.then(|| (alike, rest.len() as f64 / phases as f64))
     }
 }
 
@@ -237,6 +232,26 @@ mod tests {
         assert!(quiet < 0.01 * (13.0 / 9000.0_f64).sqrt() * 1.6, "{quiet}");
         let sum: f64 = apart.iter().sum::<f64>() / 2048.0;
         assert!(sum.abs() < 3.0 * 0.01 * (9000.0 * 0.15_f64).sqrt() / 2048.0, "{sum} m/s");
+    }
+
+    #[test]
+    fn kicks_that_come_in_every_cycle_are_averaged_and_others_are_not() {
+        let kick = |phase: f64| if (0.2..0.26).contains(&phase) { 0.1 } else { 0.0 };
+        let (clean, seen) = noisy(|t| 0.4 * (TAU * 1.3 * t).sin() + kick((1.3 * t).fract()), 6);
+        let found = periodic(&seen, 1.3, 2048.0).expect("periodic");
+        let (alike, cycles) = found.alike().expect("the same in each");
+        assert!((cycles - 9000.0 * 1.3 / 2048.0).abs() < 0.01, "{cycles}");
+        // Less noise by the number of cycles, but for the mean and the harmonics, which are not of it.
+        let apart = |rest: &[f64]| {
+            let off = clean.iter().zip(&found.wave).zip(rest).map(|((c, w), r)| c - w - r);
+            let off: Vec<f64> = off.collect();
+            let mean = off.iter().sum::<f64>() / off.len() as f64;
+            (off.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / off.len() as f64).sqrt()
+        };
+        assert!(apart(&alike) < 0.6 * apart(&found.rest), "{} {}", apart(&alike), apart(&found.rest));
+        let once = |t: f64| if t.rem_euclid(0.613) < 0.015 { 0.1 } else { 0.0 };
+        let (_, seen) = noisy(|t| 0.4 * (TAU * 1.3 * t).sin() + once(t), 7);
+        assert!(periodic(&seen, 1.3, 2048.0).expect("periodic").alike().is_none());
     }
 
     #[test]

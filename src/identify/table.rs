@@ -1,7 +1,7 @@
 //! What drives the simulation of a base record: the table's acceleration without the noise of its accelerometer, as far as the table
 //! moves periodically. Called once when a record is made ready.
 
-use super::motion::{Motion, fuse};
+use super::motion::Motion;
 use super::periodic::{periodic, smooth};
 use crate::record::Kind;
 
@@ -11,9 +11,9 @@ const STEADY: f64 = 0.2;
 const LONG: f64 = 320.0;
 
 impl Motion {
-    /// What drives a simulation has no noise where the table moves periodically. Elsewhere in a steady step, and where impacts kick the
-    /// table, slow noise is taken out by its displacement; a window tells what noise is left.
-    pub(super) fn remove_noise_of_the_table(&mut self, table_displacement_m: &[f64]) {
+    /// What drives a simulation has no noise where the table moves periodically, and less where impacts kick it alike in every
+    /// cycle; a window tells what noise is left.
+    pub(super) fn remove_noise_of_the_table(&mut self) {
         if self.kind != Kind::Base {
             return;
         }
@@ -29,11 +29,11 @@ impl Motion {
             if power(&found.rest) > STEADY * STEADY * power(&found.wave) {
                 continue;
             }
-            let beside = table_displacement_m.get(range.clone()).and_then(|x| found.beside(x));
-            let mut rest = match beside {
-                Some((x, noise_m)) => fuse(&x, noise_m, &found.rest, found.noise(), rate).acceleration_m_s2,
+            // Impacts kick the table alike in every cycle of a steady step.
+            let (mut rest, noise) = match found.alike() {
+                Some((alike, cycles)) => (alike, noise / cycles.sqrt()),
                 None if !found.white => continue,
-                None => found.rest,
+                None => (found.rest, noise),
             };
             let noisy =
                 if found.white { found.still.iter().filter(|still| !**still).count() } else { range.len() };
