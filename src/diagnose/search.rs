@@ -47,6 +47,8 @@ const NEAR: f64 = 0.25;
 const PROMISING: f64 = 3.0;
 /// Share of its prior's width that is left to a number that the motion does not reach.
 const UNSEEN: f64 = 0.9;
+/// Starts of an effect that the force sorts out where the response does so, too.
+const FEW: usize = 5;
 /// So many finalists are simulated at most, those within so many nats of the best.
 const SIMULATED: usize = 3;
 const CLOSE: f64 = 50.0;
@@ -237,9 +239,11 @@ impl<'a> Searcher<'a> {
     ) -> Vec<(&'static str, Refit)> {
         let first = Settings { iterations: 2, ..Settings::default() };
         let then = Settings { iterations: 8, tolerance: 1e-5, ..Settings::default() };
+        // Where there is a response, it sorts the others out.
+        let most = if self.measured.is_some() { FEW } else { usize::MAX };
         let work: Vec<(&'static str, EffectSpec)> = effects
             .iter()
-            .flat_map(|e| candidates::starts(e, scales).into_iter().map(|s| (e.name, s)))
+            .flat_map(|e| candidates::starts(e, scales).into_iter().take(most).map(|s| (e.name, s)))
             .collect();
         let tried = parallel::map(&work, parallel::cores(), |(name, start)| {
             trial::in_force(&self.screening, base, start, scales, first).map(|refit| (*name, refit))
@@ -353,15 +357,16 @@ impl<'a> Searcher<'a> {
                 (search.base, from) = (base.clone(), base);
             }
             let done = |stage: &Stage, base: &Trial| {
-                stage.finalists.first().is_some_and(|best| {
-                    best.share_left(base) < enough
-                        || best.excess() < thresholds.excess
-                        || best.response.is_some()
-                })
+                stage
+                    .finalists
+                    .first()
+                    .is_some_and(|best| best.share_left(base) < enough || best.excess() < thresholds.excess)
             };
             // A pair may also grow from the second best: greedy search alone can start wrong.
             let second = search.stages.first().and_then(|s| s.finalists.get(1));
-            if let (1, false, Some(second)) = (depth, done(&stage, &search.base), second) {
+            // Where the response decides, it would have found the pair.
+            let greedy = from.response.is_none() && !done(&stage, &search.base);
+            if let (1, true, Some(second)) = (depth, greedy, second) {
                 stage.finalists.extend(self.stage(second).finalists);
                 best_first(&mut stage.finalists, &search.base);
             }

@@ -24,7 +24,7 @@ use super::numbers::Numbers;
 use super::problem::{DRIFT, DRIFT_MEMORY, Part};
 use super::refit::{with_zero, zero_sigma_m};
 use super::together::Source;
-use crate::model::{self, ModelSpec, Specimen};
+use crate::model::{self, EffectSpec, ModelSpec, Specimen, effects};
 use nalgebra::{DMatrix, DVector};
 use std::sync::{Arc, OnceLock};
 
@@ -102,6 +102,8 @@ type Simulated = Vec<(f64, f64)>;
 /// The model as it stood at each record.
 struct Specimens {
     each: Vec<Box<dyn Specimen>>,
+    /// An effect has states of its own.
+    hidden: bool,
     /// An effect forgets by a power law: slower than in the cycles before a step.
     remembers: bool,
     /// The table moves otherwise than it is driven.
@@ -231,7 +233,12 @@ impl<'a> Measured<'a> {
         specimen.reset();
         let source = &motion.sources[window.source];
         let last = window.range.start.max(1) - 1;
-        let first = window.warm_from.min(last);
+        let mut first = window.warm_from.min(last);
+        if !specimens.hidden {
+            // Nothing but the tips of the bumpers to bring to where they are.
+            let half_cycle = 0.5 * motion.sample_rate_hz / window.frequency_hz.max(1e-9);
+            first = first.max(last.saturating_sub(half_cycle as usize));
+        }
         specimen.set_time_s(source.time_s(first, motion.dt_s()));
         if specimens.remembers {
             specimen.recall(self.remembered(window));
@@ -391,7 +398,9 @@ impl<'a> Measured<'a> {
         let build = |source: &Source| model::build(&source.setting.of(spec), self.motion.dt_s()).ok();
         let has = |name: &str| spec.effects.iter().any(|effect| effect.name == name);
         let (remembers, kicks) = (has("fractional-damping"), has("table-interaction"));
-        Some(Specimens { each: sources.iter().map(build).collect::<Option<_>>()?, remembers, kicks })
+        let stateless = |effect: &EffectSpec| effects::find(&effect.name).is_ok_and(|e| e.states.is_empty());
+        let hidden = !spec.effects.iter().all(stateless);
+        Some(Specimens { each: sources.iter().map(build).collect::<Option<_>>()?, hidden, remembers, kicks })
     }
 }
 
