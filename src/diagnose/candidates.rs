@@ -116,7 +116,7 @@ fn grown(start: &EffectSpec, leading: &Parameter, factor: f64, scales: &Scales) 
 }
 
 /// A model with an effect more, its own numbers such that it does about the same: a bumper on a stand is stiffer by what the
-/// stand gives way.
+/// stand gives way, a preloaded one stands back by what it would give way under its preload.
 pub fn beside(spec: &ModelSpec, start: &EffectSpec) -> ModelSpec {
     let mut with = spec.clone();
     with.effects.push(start.clone());
@@ -127,6 +127,11 @@ pub fn beside(spec: &ModelSpec, start: &EffectSpec) -> ModelSpec {
         let stiffer = 1.0 / (1.0 - bumper.stiffness_n_m / stand.max(2.0 * bumper.stiffness_n_m));
         bumper.stiffness_n_m *= stiffer;
         bumper.damping_n_s_m *= stiffer * stiffer;
+    }
+    if let ("bumper-preload", Some(bumper), Some(preload)) =
+        (start.name.as_str(), &mut with.bumper, start.parameters.get("f0_n"))
+    {
+        bumper.total_gap_m += 2.0 * preload / bumper.stiffness_n_m;
     }
     with
 }
@@ -179,6 +184,14 @@ pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
             spec
         }));
     }
+    if let ("bumper-preload", Some(gap)) = (effect.name, scales.total_gap_m) {
+        // By how far it makes the bumper stand back.
+        out.extend([0.0025, 0.005, 0.01, 0.02, 0.04].map(|share| {
+            let mut spec = effect.starting_spec(scales);
+            spec.parameters.insert("f0_n".to_owned(), 0.5 * share * gap * scales.contact_stiffness_n_m());
+            spec
+        }));
+    }
     if effect.name == "stand-compliance" {
         // How it shows depends on both numbers together, and much on how fast it rings.
         for stiffer in [4.0, 8.0, 16.0] {
@@ -225,6 +238,17 @@ mod tests {
         let at = more.parameters["kh"] * 0.01_f64.powf(more.parameters["n"]);
         assert!((more.parameters["n"] - 1.4).abs() < 1e-12, "{more:?}");
         assert!((at / (scales.contact_stiffness_n_m() * 0.01) - 1.0).abs() < 1e-12, "{more:?}");
+    }
+
+    #[test]
+    fn a_preloaded_bumper_presses_as_much_as_before() {
+        let spec = b1_g2();
+        let with = beside(&spec, &effect("bumper-preload", &[("f0_n", 30.0)]));
+        let (before, after) = (spec.bumper.expect("one"), with.bumper.expect("one"));
+        let presses = |d: f64, gap: f64, preload: f64| preload + before.stiffness_n_m * (d - 0.5 * gap);
+        let d = before.total_gap_m;
+        let (then, now) = (presses(d, before.total_gap_m, 0.0), presses(d, after.total_gap_m, 30.0));
+        assert!((now / then - 1.0).abs() < 1e-12, "{then} {now}");
     }
 
     #[test]
