@@ -1,7 +1,7 @@
 //! Study of the diagnosis on records with a hidden effect: makes cases from seeds, diagnoses each,
 //! prints one line a case (tab separated) and a summary: verdicts, how many 95 % intervals hold the truth where it was named,
-//! held-out error over noise floor. With `--told true` wrong verdicts are laid beside the specimen itself. Never quote seeds
-//! that were developed on.
+//! held-out error over noise floor, how often what was named is there by its probability. With `--told true` wrong verdicts are
+//! laid beside the specimen itself. Never quote seeds that were developed on.
 //!
 //! `cargo run --release -p hil-tests --example hidden -- blind --seeds 1000..1200 --size 0.05 --noise 1`
 
@@ -14,6 +14,9 @@ use shaketable::identify::kinematics::Tolerances;
 use shaketable::identify::motion::Motion;
 use shaketable::model::effects;
 use std::collections::BTreeMap;
+
+/// Limits of the probabilities that are counted together.
+const BINS: [f64; 5] = [0.0, 0.5, 0.9, 0.99, 1.1];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut words = std::env::args().skip(1);
@@ -40,6 +43,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (mut cases, mut effect) = (0, Coverage::default());
     let mut over_floor: Vec<f64> = Vec::new();
     let mut deviations: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+    // Probability of each effect that was named, and whether the specimen has it.
+    let mut said: Vec<(f64, bool)> = Vec::new();
     for seed in seeds {
         let effects: Vec<&'static str> = match (study.as_str(), &only) {
             ("healthy" | "outside", _) => vec![],
@@ -92,6 +97,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             })
             .or_default() += 1;
         *tally.entry(found.verdict.name()).or_default() += 1;
+        said.extend(found.effects.iter().map(|e| (e.probability, effects.contains(&e.name.as_str()))));
         if right {
             let (own, of_effects) = (base_intervals(&found, &case), effect_intervals(&found, &case));
             own.into_iter().for_each(|(key, off)| deviations.entry(key).or_default().push(off));
@@ -134,6 +140,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
     }
     println!("{cases} cases: {tally:?}");
+    for bin in BINS.windows(2) {
+        let of: Vec<bool> =
+            said.iter().filter(|(p, _)| (bin[0]..bin[1]).contains(p)).map(|(_, there)| *there).collect();
+        let there = of.iter().filter(|there| **there).count();
+        println!(
+            "named with a probability from {} to {}: {there} of {} are there",
+            bin[0],
+            bin[1].min(1.0),
+            of.len()
+        );
+    }
     let mut base = Coverage::default();
     for (key, off) in &deviations {
         let rms = (off.iter().map(|x| x * x).sum::<f64>() / off.len() as f64).sqrt();
