@@ -52,7 +52,7 @@ impl Searcher<'_> {
         spec.effects.pop();
         let start = Trial { refit: Refit { spec, ..base.refit.clone() }, ..base.clone() };
         let settings = Settings { iterations: 20, ..Settings::default() };
-        let again = trial::respond(measured, &start, Some(&best.response.as_ref()?.training), settings)?;
+        let again = trial::respond(measured, &start, None, settings)?;
         let cost = |trial: &Trial| {
             trial.response.as_ref().map_or(f64::INFINITY, |r| r.training.cost + r.training.prior)
         };
@@ -75,8 +75,7 @@ impl Searcher<'_> {
             numbers.add_effect(&spec, spec.effects.len() - 1, &scales);
             let refit = Refit { spec, numbers, ..trial.refit.clone() };
             let alone = Trial { names: vec![whole.clone()], refit, ..trial.clone() };
-            let from = base.response.as_ref().map(|response| &response.training);
-            if let Some(alone) = trial::respond(measured, &alone, from, settings)
+            if let Some(alone) = trial::respond(measured, &alone, None, settings)
                 && verdict::apart(trial, &alone) < MERGED
             {
                 *trial = alone;
@@ -135,27 +134,26 @@ impl Searcher<'_> {
         starts.extend(by_force.iter().map(|(_, refit)| refit.spec.clone()));
         let short = Settings { iterations: 3, ..Settings::default() };
         let long = Settings { iterations: 30, ..Settings::default() };
-        let fit =
-            |measured: &Measured<'_>, start: &ModelSpec, from_laid: Option<&Laid>, settings: Settings| {
-                let mut numbers = from.refit.numbers.clone();
-                numbers.add_effect(start, start.effects.len() - 1, scales);
-                numbers.start_from(start);
-                let laid = measured.fit(start, &numbers, from.refit.zero_m, from_laid, settings)?;
-                let mut spec = start.clone();
-                numbers.put(&laid.values, &mut spec).then_some((spec, numbers, laid))
-            };
+        let fit = |measured: &Measured<'_>, start: &ModelSpec, settings: Settings| {
+            let mut numbers = from.refit.numbers.clone();
+            numbers.add_effect(start, start.effects.len() - 1, scales);
+            numbers.start_from(start);
+            let laid = measured.fit(start, &numbers, from.refit.zero_m, None, settings)?;
+            let mut spec = start.clone();
+            numbers.put(&laid.values, &mut spec).then_some((spec, numbers, laid))
+        };
         let some = measured.every(2);
-        let mut tried: Vec<_> =
-            parallel::map(&starts, parallel::cores(), |start| fit(&some, start, None, short))
-                .into_iter()
-                .flatten()
-                .collect();
+        let mut tried: Vec<_> = parallel::map(&starts, parallel::cores(), |start| fit(&some, start, short))
+            .into_iter()
+            .flatten()
+            .collect();
         let cost = |laid: &Laid| laid.cost + laid.prior;
         tried.sort_by(|a, b| cost(&a.2).total_cmp(&cost(&b.2)));
         first_of_each(&mut tried, 1, |(spec, _, _)| spec);
         tried.truncate(REFINED);
+        // Each step's start anew: what the model before had there holds the gap where it was.
         let fitted = parallel::map(&tried, parallel::cores(), |(spec, _, _)| {
-            let (spec, numbers, laid) = fit(measured, spec, Some(laid), long)?;
+            let (spec, numbers, laid) = fit(measured, spec, long)?;
             let mut names = from.names.clone();
             names.push(spec.effects.last()?.name.clone());
             let refit = Refit { spec, ..from.refit.clone() };
@@ -217,7 +215,7 @@ impl Searcher<'_> {
         refit.spec = spec;
         let mut names = best.names.clone();
         *names.last_mut()? = "stribeck-friction".into();
-        trial::respond(measured, &Trial { names, refit, ..best.clone() }, Some(laid), FURTHER_ON)
+        trial::respond(measured, &Trial { names, refit, ..best.clone() }, None, FURTHER_ON)
     }
 }
 
