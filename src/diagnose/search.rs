@@ -356,16 +356,12 @@ impl<'a> Searcher<'a> {
                 stage = self.stage(&base);
                 (search.base, from) = (base.clone(), base);
             }
-            let done = |stage: &Stage, base: &Trial| {
-                stage
-                    .finalists
-                    .first()
-                    .is_some_and(|best| best.share_left(base) < enough || best.excess() < thresholds.excess)
-            };
-            // A pair may also grow from the second best: greedy search alone can start wrong.
+            // A pair may also grow from the second best: greedy search alone can start wrong. Where the response decides, it would
+            // have found the pair.
+            let enough_said =
+                |best: &Trial| best.share_left(&search.base) < enough || best.excess() < thresholds.excess;
+            let greedy = from.response.is_none() && !stage.finalists.first().is_some_and(enough_said);
             let second = search.stages.first().and_then(|s| s.finalists.get(1));
-            // Where the response decides, it would have found the pair.
-            let greedy = from.response.is_none() && !done(&stage, &search.base);
             if let (1, true, Some(second)) = (depth, greedy, second) {
                 stage.finalists.extend(self.stage(second).finalists);
                 best_first(&mut stage.finalists, &search.base);

@@ -458,7 +458,7 @@ impl<const N: usize> Specimen for General<N> {
         } else {
             self.run_of::<false>(drive, visit);
         }
-        self.table = Some(*last);
+        self.prime(*last);
     }
 
     fn impose(&mut self, relative_displacement_m: f64, relative_velocity_m_s: f64) -> Response {
