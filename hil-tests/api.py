@@ -43,7 +43,12 @@ def main(shaketable: str, schemathesis: str) -> None:
                 sys.exit(tried.returncode)
         finally:
             daemon.terminate()
-            daemon.wait(timeout=60)
+            try:
+                daemon.wait(timeout=60)
+            except subprocess.TimeoutExpired:
+                # Nothing is left behind for what comes next, and the failure told.
+                daemon.kill()
+                raise
 
 
 if __name__ == "__main__":

@@ -100,6 +100,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         said.extend(found.effects.iter().map(|e| (e.probability, effects.contains(&e.name.as_str()))));
         if right {
             let (own, of_effects) = (base_intervals(&found, &case), effect_intervals(&found, &case));
+            if verbose {
+                tell_numbers(&found, &case);
+            }
             own.into_iter().for_each(|(key, off)| deviations.entry(key).or_default().push(off));
             of_effects.into_iter().for_each(|inside| effect.count(inside));
             over_floor.push(found.error_after / found.noise_floor);
@@ -191,14 +194,15 @@ fn tell(case: &Hidden, effects: &[&'static str]) {
     println!("\t\t{:?} {:?}", case.truth.isolator, case.truth.bumper);
     let line = |trial: &Trial| {
         println!(
-            "\t\t  {:?}: {:.1} nats ({:.1} on held-out steps), excess {:.4}, colour {:.2}, zero {:.1e}, {:?}",
+            "\t\t  {:?}: {:.1} nats ({:.1} on held-out steps, freedom {:.1}), excess {:.4}, colour {:.2}, zero {:.1e}, {:?}",
             trial.names,
             verdict::apart(trial, base),
             verdict::gain(trial, base),
+            trial.response.as_ref().map_or(0.0, |r| r.freedom_nats),
             trial.excess(),
             trial.response.as_ref().map_or(0.0, |r| r.colour()),
             trial.refit.zero_m,
-            trial.refit.fit.values,
+            trial.response.as_ref().map_or(&trial.refit.fit.values, |r| &r.training.values),
         );
     };
     println!("\t\tthe specimen itself, the base model and what was found:");
@@ -209,6 +213,17 @@ fn tell(case: &Hidden, effects: &[&'static str]) {
     for trial in [base, search.best()] {
         let shape = searcher.shape_left(trial).map(|shape| (shape.expression, shape.nats));
         println!("\t\t  beside {:?}: {shape:?}", trial.names);
+    }
+}
+
+/// The model's own numbers beside the truth.
+fn tell_numbers(found: &Diagnosis, case: &Hidden) {
+    found.notes.iter().for_each(|note| println!("\t\t{note}"));
+    for number in &found.reidentified {
+        let (value, half) = (number.value, 0.5 * (number.high95 - number.low95));
+        if let Ok(truth) = case.truth.get(&number.key) {
+            println!("\t\t{} {value:.6e} +- {half:.1e}, is {truth:.6e} ({:+.1e})", number.key, value - truth);
+        }
     }
 }
 

@@ -3,6 +3,8 @@
 
 use rand::{Rng, SeedableRng, prelude::Distribution};
 use rand_pcg::Pcg64;
+use shaketable::diagnose::next_test::SweepProposal;
+use shaketable::identify::together::Setting;
 use shaketable::model::effects::{self, Sign};
 use shaketable::model::{self, BumperSpec, EffectSpec, IsolatorSpec, ModelSpec, Scales};
 use shaketable::record::{Kind, Record};
@@ -86,16 +88,22 @@ pub fn make(recipe: &Recipe) -> Option<Hidden> {
 
 /// The specimen of a case tested again at 0.04 g, its total gap made wider by so much and its instruments mounted anew.
 pub fn again(case: &Hidden, wider_m: f64, seed: u64) -> Option<Hidden> {
-    let wider = |spec: &ModelSpec| {
-        let mut spec = spec.clone();
-        if let Some(bumper) = &mut spec.bumper {
-            bumper.total_gap_m += wider_m;
-        }
-        spec
-    };
-    let (nominal, truth) = (wider(&case.nominal), wider(&case.truth));
+    let setting = Setting { wider_m, ..Setting::default() };
+    measured_again(case, setting, &sweep(0.04 * STANDARD_GRAVITY_M_S2), seed)
+}
+
+/// The specimen of a case put to a proposed test, up and down, its instruments mounted anew.
+pub fn tested(case: &Hidden, test: &SweepProposal, seed: u64) -> Option<Hidden> {
+    let steps = ((test.stop_hz - test.start_hz) / test.step_hz).round() as usize;
+    let up = (0..=steps).map(|i| test.start_hz + test.step_hz * i as f64).collect();
+    let input = input(test.acceleration_g * STANDARD_GRAVITY_M_S2, up, f64::from(test.cycles));
+    measured_again(case, test.setting(&case.nominal), &input, seed)
+}
+
+fn measured_again(case: &Hidden, setting: Setting, input: &Input, seed: u64) -> Option<Hidden> {
+    let (nominal, truth) = (setting.of(&case.nominal), setting.of(&case.truth));
     let mut random = Pcg64::seed_from_u64(seed);
-    let record = measure(&truth, &sweep(0.04 * STANDARD_GRAVITY_M_S2), 1.0, &mut random)?;
+    let record = measure(&truth, input, 1.0, &mut random)?;
     Some(Hidden { record, nominal, truth })
 }
 
@@ -152,11 +160,15 @@ struct Input {
 }
 
 fn sweep(amplitude: f64) -> Input {
-    let up: Vec<f64> = (0..10).map(|i| 0.6 + 0.35 * f64::from(i)).collect();
+    input(amplitude, (0..10).map(|i| 0.6 + 0.35 * f64::from(i)).collect(), 10.0)
+}
+
+/// So many cycles at each frequency, up and down again.
+fn input(amplitude: f64, up: Vec<f64>, cycles: f64) -> Input {
     let frequencies: Vec<f64> = up.iter().chain(up.iter().rev()).copied().collect();
     let mut input = Input { acceleration: vec![], displacement: vec![], step: vec![] };
     for (k, f) in frequencies.iter().enumerate() {
-        let samples = (10.0 * SAMPLE_RATE_HZ / f).round() as usize;
+        let samples = (cycles * SAMPLE_RATE_HZ / f).round() as usize;
         let w = TAU * f;
         for n in 0..samples {
             let s = (w * (n as f64 + 1.0) / SAMPLE_RATE_HZ).sin();

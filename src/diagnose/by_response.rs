@@ -23,7 +23,7 @@ const REFINED: usize = 3;
 const WORTH: f64 = 8.0;
 const SHARE: f64 = 0.05;
 /// The same for a further effect, which has to bring more.
-const FURTHER: f64 = 30.0;
+const FURTHER: f64 = 20.0;
 /// Median over the steps of the mean square over the noise above which a model is too far off for first order.
 const FAR: f64 = 1.15;
 /// The same of the covariance of neighbouring residuals.

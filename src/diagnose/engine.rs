@@ -232,11 +232,10 @@ impl Composer<'_> {
                     parameters.insert(parameter.name.to_owned(), estimate);
                 }
             }
-            let probability = if i + 1 == chosen.names.len() {
-                decision.probabilities.iter().find(|(n, _)| n == name).map_or(0.99, |(_, p)| *p)
-            } else {
-                0.99
-            };
+            // What took the place of two of them was weighed with neither.
+            let weighed =
+                decision.probabilities.get(i).and_then(|stage| stage.iter().find(|(n, _)| n == name));
+            let probability = weighed.map_or(verdict::EXPERIENCE, |(_, p)| *p);
             let partial = search
                 .stages
                 .iter()
@@ -269,22 +268,7 @@ impl Composer<'_> {
     }
 
     fn next_test(&self, search: &Search, decision: &Decision) -> Option<next_test::NextTest> {
-        let frequencies = self.motion.windows.iter().map(|w| w.frequency_hz);
-        let (low, high) = frequencies.fold((f64::INFINITY, 0.0_f64), |(l, h), f| (l.min(f), h.max(f)));
-        let (stroke_m, velocity_m_s, acceleration_m_s2) = self.options.reach.unwrap_or((0.20, 0.5, 5.9));
-        let tried = if self.motion.kind == Kind::Base {
-            self.motion.rms(&self.motion.drive_m_s2) * 2f64.sqrt()
-        } else {
-            return None;
-        };
-        let reach = Reach {
-            stroke_m,
-            velocity_m_s,
-            acceleration_m_s2,
-            tried_m_s2: tried,
-            tried_hz: (low, high),
-            noise_m_s2: self.motion.restoring_noise_m_s2,
-        };
+        let reach = self.reach()?;
         let stage =
             search.stages.iter().rfind(|s| s.finalists.iter().any(|t| t.names == decision.chosen.names));
         let chosen = (verdict::last_name(&decision.chosen), &decision.chosen.refit);
@@ -295,6 +279,27 @@ impl Composer<'_> {
             .or_else(|| finalists.iter().find(|t| verdict::last_name(t) != chosen.0));
         let rival = rival?;
         next_test::propose((&chosen.0, chosen.1), (&verdict::last_name(rival), &rival.refit), &reach)
+    }
+
+    /// What the rig can do, beside what it did.
+    fn reach(&self) -> Option<Reach> {
+        let frequencies = self.motion.windows.iter().map(|w| w.frequency_hz);
+        let (low, high) = frequencies.fold((f64::INFINITY, 0.0_f64), |(l, h), f| (l.min(f), h.max(f)));
+        let (stroke_m, velocity_m_s, acceleration_m_s2) = self.options.reach.unwrap_or((0.20, 0.5, 5.9));
+        let tried = if self.motion.kind == Kind::Base {
+            self.motion.rms(&self.motion.drive_m_s2) * 2f64.sqrt()
+        } else {
+            return None;
+        };
+        Some(Reach {
+            stroke_m,
+            velocity_m_s,
+            acceleration_m_s2,
+            tried_m_s2: tried,
+            tried_hz: (low, high),
+            noise_m_s2: self.motion.restoring_noise_m_s2,
+            laser_noise_m: self.motion.laser_noise_m,
+        })
     }
 
     /// The errors step by step; none when one of the two leaves the finite numbers.

@@ -96,6 +96,8 @@ pub struct Response {
     pub held_out: Laid,
     /// What is left in those of training and in the held-out ones.
     pub left: [Left; 2],
+    /// What the freedom of its numbers is worth on the steps of training, nats.
+    pub freedom_nats: f64,
 }
 
 impl Response {
@@ -136,7 +138,8 @@ pub fn judge_response(
     let left =
         [measured.left(&spec, Part::Training, &training)?, measured.left(&spec, Part::HeldOut, &held_out)?];
     let refit = measured.refit(&spec, &numbers, &training, left[0].colour);
-    let response = Some(Response { training, held_out, left });
+    let freedom_nats = measured.freedom_nats(&numbers, &training, left[0].colour);
+    let response = Some(Response { training, held_out, left, freedom_nats });
     Some(Trial { refit, response, ..trial.clone() })
 }
 

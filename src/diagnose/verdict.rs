@@ -87,8 +87,8 @@ pub struct Decision {
     pub chosen: Trial,
     /// Names that explain it as well (of the effect added last).
     pub ambiguous_with: Vec<String>,
-    /// Probability of each finalist of the last stage taken, best first.
-    pub probabilities: Vec<(String, f64)>,
+    /// Probability of each finalist of the stages taken, stage by stage.
+    pub probabilities: Vec<Vec<(String, f64)>>,
     /// Everything else.
     pub refused: Vec<Refused>,
     /// Share of the excess that is left.
@@ -106,7 +106,8 @@ pub fn gain(better: &Trial, worse: &Trial) -> f64 {
 }
 
 /// How much better the first of two trials is over the whole record, nats: on the held-out steps, and on those of the fit less
-/// half the logarithm of the independent samples for each parameter more (Schwarz 1978).
+/// what its freedom is worth: where the simulated response decides, by how much the record narrows its numbers, else half the
+/// logarithm of the independent samples for each parameter more (Schwarz 1978).
 pub fn apart(better: &Trial, worse: &Trial) -> f64 {
     gain(better, worse) + evidence(better, worse)
 }
@@ -118,11 +119,12 @@ pub fn better<'a>(best: &'a Trial, trial: &'a Trial) -> &'a Trial {
 
 /// The part of the steps that were fitted.
 fn evidence(trial: &Trial, from: &Trial) -> f64 {
-    let added = trial.dimension() as f64 - from.dimension() as f64;
     if let (Some(with), Some(of)) = (&trial.response, &from.response) {
         let fall = of.training.cost + of.training.prior - with.training.cost - with.training.prior;
-        return schwarz_nats(fall, added, with.training.count, with.colour().min(of.colour()));
+        let colour = with.colour().min(of.colour()).max(1.0);
+        return 0.5 * fall / colour - (with.freedom_nats - of.freedom_nats);
     }
+    let added = trial.dimension() as f64 - from.dimension() as f64;
     schwarz_nats(from.objective - trial.objective, added, trial.training, trial.colour)
 }
 
@@ -150,7 +152,7 @@ pub fn decide(
             }
             break;
         };
-        probabilities = weigh(&stage.finalists, thresholds);
+        probabilities.push(weigh(&stage.finalists, thresholds));
         for trial in &stage.finalists {
             let name = last_name(trial);
             if name != last_name(&chosen) && !rivals.contains(&name) {
@@ -193,7 +195,7 @@ pub fn decide(
 }
 
 /// A further effect has to bring so many times what the first has to.
-const FURTHER: f64 = 5.0;
+const FURTHER: f64 = 2.5;
 
 /// A shape has to do better than what was taken by so much more than a rival from the catalogue: it is the best of many.
 const OF_MANY: f64 = 4.0;
@@ -221,6 +223,9 @@ fn by_response(
     }
 }
 
+/// Of what was named on records with a known truth, so much was there, however sure the likelihood was (docs/diagnose.md).
+pub const EXPERIENCE: f64 = 0.97;
+
 /// Whether a trial brings more than chance on the held-out steps and on those of the fit: a gain on either alone may be one
 /// lucky step. Where the simulated response decides, its residuals are white and both count together.
 pub fn brings(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
@@ -229,7 +234,8 @@ pub fn brings(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
         // A further effect takes up what the fit of the first one has left, too.
         let [each, together] =
             thresholds.response.map(|nats| if from.names.is_empty() { nats } else { FURTHER * nats });
-        held_out > each && fitted > each && held_out + fitted > together
+        // The held-out steps have paid for the freedom already.
+        held_out > each && trial.training_gain(from) > each && held_out + fitted > together
     } else {
         let [each, together] = thresholds.gain;
         held_out > each && fitted > each && held_out + fitted > together
@@ -304,6 +310,7 @@ fn excludes_zero(trial: &Trial, from: &Trial) -> bool {
     })
 }
 
+/// Probabilities of rivals, and that it is none of them.
 fn weigh(finalists: &[Trial], thresholds: Thresholds) -> Vec<(String, f64)> {
     let Some(best) = finalists.iter().reduce(better) else { return Vec::new() };
     // A tie is even odds; the scale of the tie takes the place of a nat, since model error and
@@ -311,7 +318,7 @@ fn weigh(finalists: &[Trial], thresholds: Thresholds) -> Vec<(String, f64)> {
     let weights: Vec<f64> =
         finalists.iter().map(|trial| (-apart(best, trial) / (0.5 * thresholds.tie)).exp()).collect();
     let sum: f64 = weights.iter().sum::<f64>().max(1e-300);
-    finalists.iter().zip(weights).map(|(trial, w)| (last_name(trial), w / sum)).collect()
+    finalists.iter().zip(weights).map(|(trial, w)| (last_name(trial), EXPERIENCE * w / sum)).collect()
 }
 
 fn refuse(trial: &Trial, against: &Trial, base: &Trial, why: &str) -> Refused {

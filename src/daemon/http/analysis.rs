@@ -46,8 +46,7 @@ pub async fn compare(
 ) -> Result<Json<Failure>, ApiError> {
     let folder = folder(&app, &id)?;
     let model = model(&app, &folder, &against)?;
-    let _turn = app.turn().await?;
-    let found = super::blocking(move || {
+    let found = app.answer(move || {
         let record = read_run(folder.path()).map_err(|error| error.to_string())?;
         failure(&record, &model).map_err(|error| error.to_string())
     });

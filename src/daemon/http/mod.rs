@@ -29,7 +29,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
-use tokio::sync::{Semaphore, SemaphorePermit, watch};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::set_header::SetResponseHeaderLayer;
 use utoipa::openapi::path::{HttpMethod, Operation, PathItem};
@@ -44,8 +44,9 @@ pub const LARGEST_BODY: usize = 256 * 1024;
 const REQUESTS: (u32, u32) = (1000, 2000);
 /// Things that take a worker thread for long, at once.
 const WORKERS: usize = 2;
-/// How long one waits for such a turn.
-const TURN: Duration = Duration::from_secs(20);
+/// How long one waits for such a turn, and for an answer then: both together less than a client waits.
+const TURN: Duration = Duration::from_secs(3);
+const ANSWER: Duration = Duration::from_secs(6);
 
 /// What all handlers share.
 pub struct App {
@@ -64,7 +65,7 @@ pub struct App {
     page: page::Page,
     description: String,
     jobs: Jobs,
-    turns: Semaphore,
+    turns: Arc<Semaphore>,
     started: Instant,
     numbers: AtomicU64,
 }
@@ -93,7 +94,7 @@ impl App {
             page: page::Page::new(page)?,
             description: serde_json::to_string(&described())?,
             jobs: Jobs::start()?,
-            turns: Semaphore::new(WORKERS),
+            turns: Arc::new(Semaphore::new(WORKERS)),
             started: Instant::now(),
             numbers: AtomicU64::new(0),
         }))
@@ -105,11 +106,26 @@ impl App {
     }
 
     /// Waits for a turn on the worker threads.
-    async fn turn(&self) -> Result<SemaphorePermit<'_>, ApiError> {
-        match tokio::time::timeout(TURN, self.turns.acquire()).await {
+    async fn turn(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+        match tokio::time::timeout(TURN, self.turns.clone().acquire_owned()).await {
             Ok(Ok(turn)) => Ok(turn),
             _ => Err(ApiError::too_many("the daemon works on other answers; ask again")),
         }
+    }
+
+    /// Runs on a worker thread what an answer waits for, in its turn. Work that takes longer ends unheard and keeps its turn until
+    /// then: a model may be slow to simulate, whatever its file says.
+    async fn answer<T: Send + 'static>(
+        &self,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T, ApiError> {
+        let turn = self.turn().await?;
+        let worked = blocking(move || {
+            let _turn = turn;
+            work()
+        });
+        let late = |_| ApiError::too_many("this takes longer than an answer may; do it in a shell");
+        tokio::time::timeout(ANSWER, worked).await.map_err(late)?
     }
 
     fn unique(&self) -> u64 {

@@ -289,8 +289,7 @@ pub async fn cycles(
     Query(which): Query<Which>,
 ) -> Result<Json<Cycles>, ApiError> {
     let folder = folder(&app, &id)?;
-    let _turn = app.turn().await?;
-    super::blocking(move || read_cycles(&folder, &which)).await?.map(Json)
+    app.answer(move || read_cycles(&folder, &which)).await?.map(Json)
 }
 
 /// Rows that are read at once.

@@ -220,8 +220,7 @@ pub async fn undo(
     (status = 200, body = Asks), (status = 422, body = Problem)))]
 pub async fn preview(State(app): State<Arc<App>>, Body(trial): Body<Trial>) -> Result<Json<Asks>, ApiError> {
     let setup = tried(&app, trial)?;
-    let _turn = app.turn().await?;
-    super::blocking(move || asks(&setup)).await?.map(Json).map_err(ApiError::invalid)
+    app.answer(move || asks(&setup)).await?.map(Json).map_err(ApiError::invalid)
 }
 
 /// What the model expects of a sweep, on an ideal table
@@ -242,8 +241,7 @@ pub async fn dry_run(
             samples / rate
         )));
     }
-    let _turn = app.turn().await?;
-    super::blocking(move || expected(&setup.model, schedule.steps(), rate))
+    app.answer(move || expected(&setup.model, schedule.steps(), rate))
         .await?
         .map(Json)
         .map_err(ApiError::invalid)

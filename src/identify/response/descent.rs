@@ -10,10 +10,13 @@ use crate::model::ModelSpec;
 use nalgebra::{DMatrix, DVector};
 use std::cell::RefCell;
 
+/// Difference for a slope along a nuisance, over its prior deviation: what it changes of the acceleration stays below what is taken
+/// for a jump.
+const SMALL: f64 = 0.01;
 /// A fall of the cost that is not worth another step.
 const SETTLED: f64 = 0.3;
 /// Share of the cost above which the slopes along the nuisances are kept.
-const LITTLE: f64 = 0.9;
+const LITTLE: f64 = 0.98;
 /// Steps that are taken with the slopes of an earlier one.
 const CHORDS: usize = 3;
 
@@ -48,23 +51,12 @@ impl<'a> Measured<'a> {
             let simulated = self.simulate(&mut m.specimens, window, common[0], own);
             along.push(changed(&simulated, m.h));
         }
-        if job.moving {
-            let rate = motion.sample_rate_hz;
-            along.push(column(&|_| 0.0, &|_| 1.0));
-            let drive = |i: usize| if counts(i) { -motion.drive_m_s2[window.range.start + i] } else { 0.0 };
-            along.push(column(&drive, &|_| 0.0));
-            let of_a = |i: usize| if counts(i) { -step.simulated[i].0 } else { 0.0 };
-            let late = |i: usize| if counts(i) { rate * slopes(&step.simulated, i).0 } else { 0.0 };
-            along.push(column(&late, &|i| rate * slopes(&step.simulated, i).1));
-            along.push(column(&|_| 0.0, &|i| -step.simulated[i].1));
-            along.push(column(&of_a, &|_| 0.0));
-        }
         let fresh = known.is_none();
         let mut beside = known.unwrap_or_default();
         if fresh {
             let mut specimens = job.own.borrow_mut();
             for (j, sigma) in self.sigmas(window).into_iter().enumerate().take(self.followed(window)) {
-                let h = 0.3 * sigma.max(1e-12);
+                let h = SMALL * sigma.max(1e-12);
                 let mut start = own.to_vec();
                 start[j] += h;
                 let simulated = self.simulate(&mut specimens, window, common[0], &start);
@@ -80,6 +72,19 @@ impl<'a> Measured<'a> {
                 };
                 beside.push(column(&|_| 0.0, &|i| -share(i)));
             }
+        }
+        if job.moving {
+            let rate = motion.sample_rate_hz;
+            // The start is measured from the zero.
+            let start = &beside[0];
+            along.push(column(&|i| start[i] / sa, &|i| 1.0 + start[n + i] / sd));
+            let drive = |i: usize| if counts(i) { -motion.drive_m_s2[window.range.start + i] } else { 0.0 };
+            along.push(column(&drive, &|_| 0.0));
+            let of_a = |i: usize| if counts(i) { -step.simulated[i].0 } else { 0.0 };
+            let late = |i: usize| if counts(i) { rate * slopes(&step.simulated, i).0 } else { 0.0 };
+            along.push(column(&late, &|i| rate * slopes(&step.simulated, i).1));
+            along.push(column(&|_| 0.0, &|i| -step.simulated[i].1));
+            along.push(column(&of_a, &|_| 0.0));
         }
         // A large residual stands as the root of its share of the cost.
         for (i, r) in step.residuals[..n].iter().enumerate().filter(|(_, r)| r.abs() > HUBER) {
@@ -142,7 +147,8 @@ impl<'a> Measured<'a> {
         let (mut cost, mut steps) = self.lay(&fitted.spec, part, &values, &nuisances)?;
         let mut damping = 1e-4;
         let mut system = self.linearise(&fitted, &values, &nuisances, &steps, None)?;
-        let mut cost_of_nuisances = cost;
+        // Where the slopes along the nuisances were taken, and whether the values have moved since.
+        let (mut cost_of_nuisances, mut kept) = (cost, false);
         let (mut rounds, mut chords) = (0, 0);
         while rounds < settings.iterations {
             let Some((moved, own)) = system.step(free, &values, &nuisances, damping) else { break };
@@ -160,6 +166,11 @@ impl<'a> Measured<'a> {
                     fall
                 }
                 _ if chords > 0 => 0.0,
+                _ if kept => {
+                    (kept, cost_of_nuisances) = (false, cost);
+                    system = self.linearise(&fitted, &values, &nuisances, &steps, None)?;
+                    continue;
+                }
                 _ => {
                     damping *= 10.0;
                     if damping > 1e5 {
@@ -182,11 +193,11 @@ impl<'a> Measured<'a> {
             let ended = settled && chords == 0;
             chords = 0;
             // The slopes along the nuisances change little while the model moves little.
-            let little = cost > LITTLE * cost_of_nuisances;
-            if !little {
+            kept = cost > LITTLE * cost_of_nuisances;
+            if !kept {
                 cost_of_nuisances = cost;
             }
-            system = self.linearise(&fitted, &values, &nuisances, &steps, little.then_some(system))?;
+            system = self.linearise(&fitted, &values, &nuisances, &steps, kept.then_some(system))?;
             if ended {
                 break;
             }
@@ -264,6 +275,20 @@ impl<'a> Measured<'a> {
             let through = &eliminated.inverse * &eliminated.pull;
             system.gradient += slope(&eliminated.along) - &eliminated.mixed * through;
         }
+    }
+
+    /// What the freedom of a fit's numbers is worth, nats: half the logarithm of how much narrower the record makes them than they were
+    /// before, so that one that it says nothing about costs nothing (Occam factor of a Laplace approximation: MacKay 1992).
+    pub fn freedom_nats(&self, numbers: &Numbers, laid: &Laid, colour: f64) -> f64 {
+        let free = self.free(numbers, 0.0);
+        let wide = |j: usize| {
+            let sigma = free[j].prior.1;
+            if sigma.is_finite() { sigma } else { laid.values[j].abs().max(free[j].scale) }
+        };
+        let narrowed = DMatrix::from_fn(free.len(), free.len(), |i, j| {
+            wide(i) * laid.information[(i, j)] * wide(j) / colour.max(1.0) + f64::from(u8::from(i == j))
+        });
+        narrowed.cholesky().map_or(0.0, |root| root.l().diagonal().iter().map(|x| x.ln()).sum())
     }
 
     /// The fit as the rest of the diagnosis knows fits: the model's numbers and the zero, everything else eliminated.
