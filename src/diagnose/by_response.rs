@@ -16,14 +16,14 @@ use crate::parallel;
 const SCORED: usize = 4;
 /// So many starts of an effect that has more than two numbers.
 const STARTS: usize = 2;
+/// Every so many steps are looked at to sort them out.
+const HALF: usize = 2;
 /// So many of those are refined.
 const REFINED: usize = 3;
 /// Nats to first order below which a candidate is not fitted, the first alone to be refused by name; and the share of the first
 /// one's.
 const WORTH: f64 = 8.0;
 const SHARE: f64 = 0.05;
-/// The same for a further effect, which has to bring more.
-const FURTHER: f64 = 20.0;
 /// Median over the steps of the mean square over the noise above which a model is too far off for first order.
 const FAR: f64 = 1.15;
 /// The same of the covariance of neighbouring residuals.
@@ -32,6 +32,9 @@ const STRUCTURED: f64 = 0.01;
 const BETTER: f64 = 2.0;
 /// Nats that a simpler effect beside the one that contains it has to bring.
 const MERGED: f64 = 20.0;
+/// A candidate that is behind the best by so many nats after a short fit is fitted in a few rounds more, to be refused by name.
+const HOPELESS: f64 = 150.0;
+const FEW_ROUNDS: usize = 4;
 /// How a fit goes on.
 const FURTHER_ON: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
 /// Stribeck velocities that are tried beside Coulomb's friction, over the typical velocity; how much more than it breakaway takes; and
@@ -114,7 +117,7 @@ impl Searcher<'_> {
         }
         // To first order is near enough where little is left; otherwise the force has a say.
         let best = first.first().map_or(0.0, |(nats, _)| *nats);
-        if !from.names.is_empty() && best < FURTHER {
+        if !from.names.is_empty() && best < WORTH {
             return Vec::new();
         }
         let far = is_far(response);
@@ -142,7 +145,7 @@ impl Searcher<'_> {
             let mut spec = start.clone();
             numbers.put(&laid.values, &mut spec).then_some((spec, numbers, laid))
         };
-        let some = measured.every(2);
+        let some = measured.every(HALF);
         let mut tried: Vec<_> = parallel::map(&starts, parallel::cores(), |start| fit(&some, start, short))
             .into_iter()
             .flatten()
@@ -152,8 +155,11 @@ impl Searcher<'_> {
         first_of_each(&mut tried, 1, |(spec, _, _)| spec);
         tried.truncate(REFINED);
         // Each step's start anew: what the model before had there holds the gap where it was.
-        let fitted = parallel::map(&tried, parallel::cores(), |(spec, _, _)| {
-            let (spec, numbers, laid) = fit(measured, spec, long)?;
+        let least = tried.first().map_or(0.0, |(_, _, laid)| cost(laid));
+        let fitted = parallel::map(&tried, parallel::cores(), |(spec, _, short)| {
+            let behind = 0.5 * HALF as f64 * (cost(short) - least) / response.colour().max(1.0);
+            let rounds = if behind > HOPELESS { FEW_ROUNDS } else { long.iterations };
+            let (spec, numbers, laid) = fit(measured, spec, Settings { iterations: rounds, ..long })?;
             let mut names = from.names.clone();
             names.push(spec.effects.last()?.name.clone());
             let refit = Refit { spec, ..from.refit.clone() };

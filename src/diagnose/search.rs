@@ -367,9 +367,8 @@ impl<'a> Searcher<'a> {
                 best_first(&mut stage.finalists, &search.base);
             }
             self.merge(&mut stage, &search.base);
-            let brings = |stage: &Stage| {
-                stage.finalists.first().is_some_and(|best| verdict::brings(best, &from, thresholds))
-            };
+            let brings =
+                |stage: &Stage| stage.finalists.iter().any(|trial| verdict::brings(trial, &from, thresholds));
             let mut gained = brings(&stage);
             // What two bring together neither may bring alone: play where the force has an offset.
             if component

@@ -34,6 +34,9 @@ pub struct Shaped {
 /// Share of what an explanation brings to first order below which a shape is not fitted in its place.
 const WORTH: f64 = 0.3;
 
+/// Nats that a shape may be behind after a short fit for a longer one.
+const HOPELESS: f64 = 150.0;
+
 /// Even and odd powers of displacement and velocity and their products, waves over displacement, forces of one side, friction in
 /// places, and slow changes.
 const SHAPES: [&str; 20] = [
@@ -96,9 +99,14 @@ impl Searcher<'_> {
         refit.numbers.retain(kept);
         refit.spec = spec;
         let start = Trial { names: vec!["expression".into()], refit, ..base.clone() };
-        let settings = Settings { iterations: 8, ..Settings::default() };
-        let fitted = trial::respond(measured, &start, None, settings)?;
-        Some(verdict::apart(&fitted, taken))
+        let rounds = |iterations: usize| Settings { iterations, ..Settings::default() };
+        let fitted = trial::respond(measured, &start, None, rounds(3))?;
+        let ahead = verdict::apart(&fitted, taken);
+        if ahead < -HOPELESS {
+            return Some(ahead);
+        }
+        let laid = fitted.response.as_ref().map(|response| &response.training);
+        Some(verdict::apart(&trial::respond(measured, &fitted, laid, rounds(6))?, taken))
     }
 }
 

@@ -69,6 +69,18 @@ impl Default for Thresholds {
     }
 }
 
+impl Thresholds {
+    /// What a trial has to bring on each part of the steps and together. A further effect takes up what the fit of the first one
+    /// has left, too.
+    fn asked(self, trial: &Trial, from: &Trial) -> [f64; 2] {
+        match (&trial.response, from.names.is_empty()) {
+            (Some(_), true) => self.response,
+            (Some(_), false) => self.response.map(|nats| FURTHER * nats),
+            (None, _) => self.gain,
+        }
+    }
+}
+
 /// A candidate that was not taken, and why.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Refused {
@@ -229,27 +241,27 @@ pub const EXPERIENCE: f64 = 0.97;
 /// Whether a trial brings more than chance on the held-out steps and on those of the fit: a gain on either alone may be one
 /// lucky step. Where the simulated response decides, its residuals are white and both count together.
 pub fn brings(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
-    let (held_out, fitted) = (gain(trial, from), evidence(trial, from));
-    if trial.response.is_some() {
-        // A further effect takes up what the fit of the first one has left, too.
-        let [each, together] =
-            thresholds.response.map(|nats| if from.names.is_empty() { nats } else { FURTHER * nats });
-        // The held-out steps have paid for the freedom already.
-        held_out > each && trial.training_gain(from) > each && held_out + fitted > together
-    } else {
-        let [each, together] = thresholds.gain;
-        held_out > each && fitted > each && held_out + fitted > together
-    }
+    let (held_out, [each, _]) = (gain(trial, from), thresholds.asked(trial, from));
+    // Where the response decides, the held-out steps have paid for the freedom already.
+    let fitted = if trial.response.is_some() { trial.training_gain(from) } else { evidence(trial, from) };
+    held_out > each && fitted > each && brings_together(trial, from, thresholds)
+}
+
+/// Whether it does so on all steps together, and those held out do not speak against it.
+fn brings_together(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
+    let [_, together] = thresholds.asked(trial, from);
+    gain(trial, from) > 0.0 && apart(trial, from) > together
 }
 
 /// The best finalist that passes, the simpler one among equals, and those that tie with it.
 fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(Trial, Vec<String>)> {
-    let passed: Vec<&Trial> = finalists
-        .iter()
-        .filter(|trial| {
-            brings(trial, from, thresholds) && excludes_zero(trial, from) && follows(trial, from, thresholds)
-        })
-        .collect();
+    let stands = |trial: &Trial| excludes_zero(trial, from) && follows(trial, from, thresholds);
+    if !finalists.iter().any(|trial| brings(trial, from, thresholds) && stands(trial)) {
+        return None;
+    }
+    // That something is missing takes gains on both parts of the steps; which, all steps together.
+    let passed: Vec<&Trial> =
+        finalists.iter().filter(|trial| brings_together(trial, from, thresholds) && stands(trial)).collect();
     let best = passed.iter().copied().reduce(better)?;
     let equals: Vec<&&Trial> = passed.iter().filter(|trial| apart(best, trial) < thresholds.tie).collect();
     let is_simpler = |a: &Trial, b: &Trial| contained_in(&last_name(b)).contains(&last_name(a).as_str());

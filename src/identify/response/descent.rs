@@ -10,9 +10,10 @@ use crate::model::ModelSpec;
 use nalgebra::{DMatrix, DVector};
 use std::cell::RefCell;
 
-/// Difference for a slope along a nuisance, over its prior deviation: what it changes of the acceleration stays below what is taken
-/// for a jump.
-const SMALL: f64 = 0.01;
+/// Difference for a slope along a nuisance, over its prior deviation.
+const SMALL: f64 = 0.2;
+/// A change by so many times what is usual in a step is a jump that went over a sample, if it is one at all.
+const UNUSUAL: f64 = 6.0;
 /// A fall of the cost that is not worth another step.
 const SETTLED: f64 = 0.3;
 /// Share of the cost above which the slopes along the nuisances are kept.
@@ -40,10 +41,10 @@ impl<'a> Measured<'a> {
         let counted = self.counts();
         let counts = |i: usize| counted[window.range.start + i];
         let changed = |simulated: &Simulated, h: f64| {
-            let small = |i: usize| {
-                let change = step.simulated[i].0 - simulated[i].0;
-                if counts(i) && change.abs() * sa < OVER { change / h } else { 0.0 }
-            };
+            let change = |i: usize| step.simulated[i].0 - simulated[i].0;
+            let square: f64 = (0..n).filter(|i| counts(*i)).map(|i| (sa * change(i)).powi(2)).sum();
+            let most = OVER.max(UNUSUAL * (square / n as f64).sqrt()) / sa;
+            let small = |i: usize| if counts(i) && change(i).abs() < most { change(i) / h } else { 0.0 };
             column(&small, &|i| (step.simulated[i].1 - simulated[i].1) / h)
         };
         let mut along = Vec::with_capacity(moved.len() + COMMON);
@@ -127,7 +128,7 @@ impl<'a> Measured<'a> {
     /// Lays a fitted model against the held-out steps: only what belongs to each step is estimated.
     pub fn judge(&self, spec: &ModelSpec, numbers: &Numbers, laid: &Laid) -> Option<Laid> {
         let free = self.free(numbers, 0.0);
-        let settings = Settings { iterations: 4, ..Settings::default() };
+        let settings = Settings { iterations: 12, ..Settings::default() };
         let still = self.still(Part::HeldOut);
         let fitted = Fitted { spec: spec.clone(), numbers, free: &free, moving: false };
         self.descend(fitted, Part::HeldOut, laid.values.clone(), still, settings)

@@ -50,7 +50,7 @@ const OFFSETS: usize = 16;
 /// A residual of the acceleration above so many times its noise counts by its size, no more by its square (Huber 1964): where a
 /// simulated contact begins some samples off, the jump does not rule the fit.
 const HUBER: f64 = 6.0;
-/// A change of a residual by more than this, in units of its noise, within the small difference of a slope is a jump that went
+/// A change of a residual by less than this, in units of the noise, within the small difference of a slope is no jump that went
 /// over a sample.
 const OVER: f64 = 1.0;
 

@@ -9,11 +9,16 @@ use crate::identify::problem::Part;
 use crate::model::{EffectSpec, ModelSpec, effects};
 use nalgebra::{DMatrix, DVector};
 
+/// So many samples tell enough for first order.
+const TOLD: usize = 70_000;
+
 /// The response about a fitted model, linearised: what a further effect would bring, to first order.
 pub struct Tangent<'b, 'a> {
-    measured: &'b Measured<'a>,
+    measured: Measured<'a>,
     numbers: &'b Numbers,
-    laid: &'b Laid,
+    laid: Laid,
+    /// Every so many steps of training are looked at.
+    thinned: usize,
     steps: Vec<Step<'a>>,
     /// Their misfits, by the exact solver and by the general one: these differ by more than a faint effect does.
     misfits: [Vec<Vec<f64>>; 2],
@@ -25,10 +30,25 @@ pub struct Tangent<'b, 'a> {
 impl<'a> Measured<'a> {
     /// Linearises the response to the training steps about a fitted model.
     pub fn tangent<'b>(
-        &'b self,
+        &self,
         spec: &ModelSpec,
         numbers: &'b Numbers,
-        laid: &'b Laid,
+        laid: &Laid,
+    ) -> Option<Tangent<'b, 'a>> {
+        // Of a long record a part tells enough.
+        let samples: usize = self.training.iter().map(|k| self.motion.windows[*k].range.len()).sum();
+        let thinned = samples.div_ceil(TOLD).max(1);
+        let mut laid = laid.clone();
+        laid.nuisances = laid.nuisances.into_iter().step_by(thinned).collect();
+        self.every(thinned).linear(spec, numbers, laid, thinned)
+    }
+
+    fn linear<'b>(
+        self,
+        spec: &ModelSpec,
+        numbers: &'b Numbers,
+        laid: Laid,
+        thinned: usize,
     ) -> Option<Tangent<'b, 'a>> {
         let free = self.free(numbers, 0.0);
         let (_, steps) = self.lay(spec, Part::Training, &laid.values, &laid.nuisances)?;
@@ -57,7 +77,8 @@ impl<'a> Measured<'a> {
             }
         }
         let misfits = [own, general];
-        Some(Tangent { measured: self, numbers, laid, steps, misfits, own: system.own, gradient, inverse })
+        let own = system.own;
+        Some(Tangent { measured: self, numbers, laid, thinned, steps, misfits, own, gradient, inverse })
     }
 }
 
@@ -103,7 +124,7 @@ impl Tangent<'_, '_> {
     }
 
     fn project(&self, with: &ModelSpec, moved: Option<&Score>) -> Option<Score> {
-        let measured = self.measured;
+        let measured = &self.measured;
         let mut values = self.laid.values.clone();
         let mut spec = with.clone();
         if let Some(score) = moved {
@@ -157,7 +178,7 @@ impl Tangent<'_, '_> {
             beside.iter_mut().zip(&score.beside).for_each(|(to, by)| add(to, by));
         }
         (square > 0.0).then(|| Score {
-            nats: 0.5 * slope * slope / square,
+            nats: 0.5 * self.thinned as f64 * slope * slope / square,
             scale: -slope / square,
             change: (power / count.max(1) as f64).sqrt(),
             followed,
