@@ -73,17 +73,42 @@ impl Searcher<'_> {
             }
             let mut spec = trial.refit.spec.clone();
             spec.effects.remove(spec.effects.len() - 2);
-            let mut numbers = base.refit.numbers.clone();
-            let scales = candidates::scales(&base.refit.spec, self.motion);
-            numbers.add_effect(&spec, spec.effects.len() - 1, &scales);
-            let refit = Refit { spec, numbers, ..trial.refit.clone() };
-            let alone = Trial { names: vec![whole.clone()], refit, ..trial.clone() };
+            let alone = self.alone(base, spec, whole.clone());
             if let Some(alone) = trial::respond(measured, &alone, None, settings)
                 && verdict::apart(trial, &alone) < MERGED
             {
                 *trial = alone;
             }
         }
+    }
+
+    /// Pairs of the second effect of the best one with another first: greedy search starts without the second, and which the first
+    /// is may show only beside it.
+    pub(super) fn exchange_first(&self, stage: &mut Stage, base: &Trial) {
+        let (Some(measured), Some(pair)) = (&self.measured, stage.finalists.first()) else { return };
+        let [one, two] = pair.names.clone().try_into().unwrap_or_default();
+        let mut spec = pair.refit.spec.clone();
+        if one.is_empty() || spec.effects.len() < 2 {
+            return;
+        }
+        spec.effects.remove(spec.effects.len() - 2);
+        let alone = self.alone(base, spec, two);
+        let settings = Settings { iterations: 12, ..Settings::default() };
+        let Some(second) = trial::respond(measured, &alone, None, settings) else { return };
+        let spec = &second.refit.spec;
+        let scales = candidates::scales(spec, self.motion);
+        let mut effects = candidates::physical(spec, self.motion.kind);
+        effects.retain(|effect| effect.name != one);
+        stage.finalists.extend(self.by_response(measured, &second, &[], &effects, &scales));
+        best_first(&mut stage.finalists, base);
+    }
+
+    /// The base model with one effect, the last of a model, to be fitted.
+    fn alone(&self, base: &Trial, spec: ModelSpec, name: String) -> Trial {
+        let mut numbers = base.refit.numbers.clone();
+        let scales = candidates::scales(&base.refit.spec, self.motion);
+        numbers.add_effect(&spec, spec.effects.len() - 1, &scales);
+        Trial { names: vec![name], refit: Refit { spec, numbers, ..base.refit.clone() }, ..base.clone() }
     }
 
     /// Fits candidates by the simulated response: those that the force puts first, and those that the response itself does to

@@ -232,10 +232,7 @@ impl Composer<'_> {
                     parameters.insert(parameter.name.to_owned(), estimate);
                 }
             }
-            // What took the place of two of them was weighed with neither.
-            let weighed =
-                decision.probabilities.get(i).and_then(|stage| stage.iter().find(|(n, _)| n == name));
-            let probability = weighed.map_or(verdict::EXPERIENCE, |(_, p)| *p);
+            let probability = decision.probabilities.get(i).copied().unwrap_or(verdict::EXPERIENCE);
             let partial = search
                 .stages
                 .iter()

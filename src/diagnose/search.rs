@@ -356,8 +356,8 @@ impl<'a> Searcher<'a> {
                 stage = self.stage(&base);
                 (search.base, from) = (base.clone(), base);
             }
-            // A pair may also grow from the second best: greedy search alone can start wrong. Where the response decides, it would
-            // have found the pair.
+            // A pair may also grow from the second best: greedy search alone can start wrong. Where the response decides, the first of
+            // a pair is exchanged below.
             let enough_said =
                 |best: &Trial| best.share_left(&search.base) < enough || best.excess() < thresholds.excess;
             let greedy = from.response.is_none() && !stage.finalists.first().is_some_and(enough_said);
@@ -379,6 +379,9 @@ impl<'a> Searcher<'a> {
                 stage.finalists.extend(self.stage(best).finalists);
                 best_first(&mut stage.finalists, &from);
                 gained = brings(&stage);
+            }
+            if gained {
+                self.exchange_first(&mut stage, &search.base);
             }
             search.stages.push(stage);
             if !gained {

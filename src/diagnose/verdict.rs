@@ -99,8 +99,8 @@ pub struct Decision {
     pub chosen: Trial,
     /// Names that explain it as well (of the effect added last).
     pub ambiguous_with: Vec<String>,
-    /// Probability of each finalist of the stages taken, stage by stage.
-    pub probabilities: Vec<Vec<(String, f64)>>,
+    /// Probability of each effect of the chosen trial.
+    pub probabilities: Vec<f64>,
     /// Everything else.
     pub refused: Vec<Refused>,
     /// Share of the excess that is left.
@@ -156,7 +156,7 @@ pub fn decide(
     let mut taken = base.clone();
     let mut refused = Vec::new();
     let mut ambiguous_with = Vec::new();
-    let mut probabilities = Vec::new();
+    let mut probabilities: Vec<f64> = Vec::new();
     for stage in &search.stages {
         let Some((chosen, rivals)) = choose(&stage.finalists, &taken, thresholds) else {
             for trial in &stage.finalists {
@@ -164,10 +164,10 @@ pub fn decide(
             }
             break;
         };
-        probabilities.push(weigh(&stage.finalists, thresholds));
+        weigh(&stage.finalists, &chosen, thresholds, &mut probabilities);
         for trial in &stage.finalists {
-            let name = last_name(trial);
-            if name != last_name(&chosen) && !rivals.contains(&name) {
+            let name = own_name(trial, &chosen);
+            if name != own_name(&chosen, trial) && !rivals.contains(&name) {
                 refused.push(refuse(trial, &chosen, base, "explains less"));
             }
         }
@@ -264,15 +264,15 @@ fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(
         finalists.iter().filter(|trial| brings_together(trial, from, thresholds) && stands(trial)).collect();
     let best = passed.iter().copied().reduce(better)?;
     let equals: Vec<&&Trial> = passed.iter().filter(|trial| apart(best, trial) < thresholds.tie).collect();
-    let is_simpler = |a: &Trial, b: &Trial| contained_in(&last_name(b)).contains(&last_name(a).as_str());
+    let is_simpler = |a: &Trial, b: &Trial| contained_in(&own_name(b, a)).contains(&own_name(a, b).as_str());
     let chosen = equals
         .iter()
         .find(|a| equals.iter().all(|b| !is_simpler(b, a)) && equals.iter().any(|b| is_simpler(a, b)))
         .map_or(best, |a| **a);
     let rivals = equals
         .iter()
-        .filter(|trial| last_name(trial) != last_name(chosen) && !is_simpler(chosen, trial))
-        .map(|trial| last_name(trial))
+        .filter(|trial| own_name(trial, chosen) != own_name(chosen, trial) && !is_simpler(chosen, trial))
+        .map(|trial| own_name(trial, chosen))
         .collect();
     let mut chosen = chosen.clone();
     if chosen.response.is_none() {
@@ -322,15 +322,23 @@ fn excludes_zero(trial: &Trial, from: &Trial) -> bool {
     })
 }
 
-/// Probabilities of rivals, and that it is none of them.
-fn weigh(finalists: &[Trial], thresholds: Thresholds) -> Vec<(String, f64)> {
-    let Some(best) = finalists.iter().reduce(better) else { return Vec::new() };
-    // A tie is even odds; the scale of the tie takes the place of a nat, since model error and
-    // colour make the likelihood sharper than experience bears out.
-    let weights: Vec<f64> =
-        finalists.iter().map(|trial| (-apart(best, trial) / (0.5 * thresholds.tie)).exp()).collect();
-    let sum: f64 = weights.iter().sum::<f64>().max(1e-300);
-    finalists.iter().zip(weights).map(|(trial, w)| (last_name(trial), EXPERIENCE * w / sum)).collect()
+/// Probability of each effect of what was chosen among the rivals that differ in that effect alone, and that it is none of them.
+/// Where none was tried at this stage, it stays what it was.
+fn weigh(finalists: &[Trial], chosen: &Trial, thresholds: Thresholds, probabilities: &mut Vec<f64>) {
+    let before = std::mem::take(probabilities);
+    for place in 0..chosen.names.len() {
+        let others = || chosen.names.iter().enumerate().filter(|(i, _)| *i != place);
+        let alike = |trial: &&Trial| {
+            trial.names.len() == chosen.names.len() && others().all(|(_, name)| trial.names.contains(name))
+        };
+        let rivals: Vec<&Trial> = finalists.iter().filter(alike).collect();
+        // A tie is even odds; the scale of the tie takes the place of a nat, since model error and
+        // colour make the likelihood sharper than experience bears out.
+        let weight = |trial: &Trial| (-apart(chosen, trial) / (0.5 * thresholds.tie)).exp();
+        let sum: f64 = rivals.iter().map(|trial| weight(trial)).sum();
+        let known = before.get(place).filter(|_| rivals.len() < 2);
+        probabilities.push(known.copied().unwrap_or(EXPERIENCE / sum.max(1.0)));
+    }
 }
 
 fn refuse(trial: &Trial, against: &Trial, base: &Trial, why: &str) -> Refused {
@@ -345,6 +353,12 @@ fn refuse(trial: &Trial, against: &Trial, base: &Trial, why: &str) -> Refused {
             against.training_gain(trial),
         ),
     }
+}
+
+/// The effect that a trial has and another one has not, the last one where that is none.
+fn own_name(trial: &Trial, other: &Trial) -> String {
+    let own = trial.names.iter().rfind(|name| !other.names.contains(name));
+    own.or(trial.names.last()).cloned().unwrap_or_default()
 }
 
 /// The effect added last.
