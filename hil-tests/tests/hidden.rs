@@ -67,6 +67,40 @@ fn records_of_two_gaps_are_diagnosed_together() {
     assert_eq!(hint.candidates[0].name, "hunt-crossley-damping", "{hint:?}");
 }
 
+/// What a fault changes of a record.
+type Fault = fn(&mut Record);
+
+#[test]
+fn what_is_wrong_with_a_record_is_named_before_any_physics() {
+    let recipe = Recipe { seed: 5_000_401, effects: vec![], foreign: None, size: 0.05, noise: 1.0 };
+    let case = hidden::make(&recipe).expect("nothing to reach");
+    let faults: [(&str, Fault); 6] = [
+        ("cycles of the input", |r| {
+            r.step.truncate(2000);
+            let channels = [
+                &mut r.time_s,
+                &mut r.table_displacement_m,
+                &mut r.table_acceleration_m_s2,
+                &mut r.mass_acceleration_1_m_s2,
+                &mut r.mass_acceleration_2_m_s2,
+                &mut r.relative_displacement_m,
+            ];
+            channels.into_iter().for_each(|channel| channel.truncate(2000));
+        }),
+        ("saturated", |r| r.mass_acceleration_1_m_s2.iter_mut().for_each(|a| *a = a.clamp(-0.3, 0.3))),
+        ("is constant", |r| r.relative_displacement_m.fill(0.012)),
+        ("wrong sign", |r| r.relative_displacement_m.iter_mut().for_each(|d| *d = -*d)),
+        ("wrong unit", |r| r.relative_displacement_m.iter_mut().for_each(|d| *d *= 1000.0)),
+        ("is off by", |r| r.table_acceleration_m_s2.reverse()),
+    ];
+    for (said, fault) in faults {
+        let mut record = case.record.clone();
+        fault(&mut record);
+        let error = diagnose(&record, &case.nominal, &Options::default()).expect_err(said).to_string();
+        assert!(error.contains("not fit") && error.contains(said), "{said}: {error}");
+    }
+}
+
 #[test]
 fn a_force_that_no_effect_explains_is_outside_the_catalogue() {
     // A ripple over the displacement.

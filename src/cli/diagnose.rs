@@ -3,7 +3,7 @@
 use super::reading::ReadingArgs;
 use super::{CliError, Outcome};
 use crate::diagnose::live::evidence;
-use crate::diagnose::{Options, diagnose_together};
+use crate::diagnose::{DiagnoseError, Options, diagnose_together};
 use crate::model::ModelSpec;
 use crate::record::Record;
 use crate::report::diagnosis::page;
@@ -25,6 +25,9 @@ pub struct Args {
     /// goes on; works at low priority.
     #[arg(long, conflicts_with = "report")]
     evidence: bool,
+    /// Diagnose a record that is too short, saturated, of wrong sign or unit, ... all the same. Its faults are told as notes.
+    #[arg(long)]
+    anyway: bool,
     /// Write a page with the error ladder, all tables and the shape of the missing force.
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
@@ -54,7 +57,13 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         return show_evidence(&records, &models, args.json);
     }
     let tests: Vec<(&Record, &ModelSpec)> = records.iter().zip(models.iter().cycle()).collect();
-    let answer = diagnose_together(&tests, &Options::default()).map_err(CliError::failed)?;
+    let options = Options { anyway: args.anyway, ..Options::default() };
+    let answer = diagnose_together(&tests, &options).map_err(|error| match error {
+        DiagnoseError::Unfit { .. } => CliError::failed(format!(
+            "{error}; name its columns with their sign and unit (`--map`), or see what comes of it with --anyway"
+        )),
+        error => CliError::failed(error),
+    })?;
     if let Some(path) = &args.report {
         let title = format!("What is missing: {names} against {}", models[0].name);
         page(&title, &answer).and_then(|page| page.write(path)).map_err(CliError::failed)?;

@@ -14,7 +14,7 @@ use crate::identify::problem::{OutputError, Part, Problem};
 use crate::identify::refit::Refit;
 use crate::identify::together::{Setting, TogetherError};
 use crate::model::{ModelError, ModelSpec, effects};
-use crate::record::{Kind, Record};
+use crate::record::{Kind, Record, quality};
 use std::time::Instant;
 
 /// How a diagnosis is done.
@@ -28,6 +28,8 @@ pub struct Options {
     pub thresholds: Thresholds,
     /// What the rig can do; defaults to the paper's table.
     pub reach: Option<(f64, f64, f64)>,
+    /// Diagnose a record that is not fit for it all the same.
+    pub anyway: bool,
 }
 
 /// Why a record cannot be diagnosed.
@@ -36,6 +38,14 @@ pub enum DiagnoseError {
     /// The record does not hold what its kind needs.
     #[error(transparent)]
     Motion(#[from] MotionError),
+    /// The record itself is at fault: no verdict on a model could be trusted.
+    #[error("the record `{record}` is not fit to judge a model by: {faults}")]
+    Unfit {
+        /// Name of the record.
+        record: String,
+        /// What is wrong with it.
+        faults: String,
+    },
     /// The records do not belong together.
     #[error(transparent)]
     Together(#[from] TogetherError),
@@ -73,7 +83,7 @@ pub fn noise_floor(motion: &Motion, error: &OutputError) -> f64 {
 /// Diagnoses a record against a model.
 ///
 /// # Errors
-/// A record that lacks a channel, a model that cannot be built or follows nothing.
+/// A record that lacks a channel or is not fit to judge a model by, a model that cannot be built or follows nothing.
 pub fn diagnose(record: &Record, nominal: &ModelSpec, options: &Options) -> Result<Diagnosis, DiagnoseError> {
     diagnose_together(&[(record, nominal)], options)
 }
@@ -95,6 +105,9 @@ pub fn diagnose_together(
     let mut findings: Vec<Finding> = Vec::new();
     for (record, model) in tests {
         crate::model::build(model, 1.0 / record.sample_rate_hz)?;
+        if !options.anyway {
+            fit(record)?;
+        }
         let motion = Motion::of(record, model.mass_kg, options.tolerances)?;
         let judged = |found| instruments::judge(found, record, options.tolerances);
         for finding in motion.instruments.as_ref().map(judged).unwrap_or_default() {
@@ -116,6 +129,17 @@ pub fn diagnose_together(
         .ok_or_else(diverges)?;
     out.wall_s = begun.elapsed().as_secs_f64();
     Ok(out)
+}
+
+/// Refuses a record in which something is wrong before any physics is blamed.
+fn fit(record: &Record) -> Result<(), DiagnoseError> {
+    let of_record = quality::examine(record).into_iter();
+    let faults: Vec<String> =
+        of_record.filter(|f| f.severity == quality::Severity::Error).map(|f| f.text).collect();
+    if faults.is_empty() {
+        return Ok(());
+    }
+    Err(DiagnoseError::Unfit { record: record.source.clone(), faults: faults.join("; ") })
 }
 
 struct Composer<'a> {
@@ -351,8 +375,12 @@ impl Composer<'_> {
     }
 
     fn notes(&self, findings: &[Finding]) -> Vec<String> {
-        let mut notes: Vec<String> =
-            self.tests.iter().flat_map(|(record, _)| record.notes.iter().cloned()).collect();
+        let of_record = |(record, _): &(&Record, &ModelSpec)| {
+            let faults = quality::examine(record).into_iter().map(|finding| finding.text);
+            let known = |text: &String| !record.notes.contains(text);
+            record.notes.iter().cloned().chain(faults.filter(known)).collect::<Vec<_>>()
+        };
+        let mut notes: Vec<String> = self.tests.iter().flat_map(of_record).collect();
         notes.extend(findings.iter().map(|f| format!("{}: {}", f.name, f.text)));
         if let Some(found) = &self.motion.instruments {
             let [a, b] = found.accelerometers;

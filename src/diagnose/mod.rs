@@ -18,6 +18,6 @@ pub(crate) mod testing;
 pub mod trial;
 pub mod verdict;
 
-pub use engine::{Options, diagnose, diagnose_together};
+pub use engine::{DiagnoseError, Options, diagnose, diagnose_together};
 pub use report::Diagnosis;
 pub use verdict::Verdict;
