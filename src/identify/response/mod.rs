@@ -31,7 +31,7 @@ use std::sync::{Arc, OnceLock};
 /// A step in which the mean square of the residuals is so many times that of the noise begins to count by its logarithm: one in
 /// which a stiff contact leads elsewhere does not rule the fit.
 const ROBUST: f64 = 1.5;
-/// Samples that are simulated at most in one evaluation; steps are left out evenly beyond it.
+/// Samples of a record that are simulated at most in one evaluation; steps are left out evenly beyond it.
 const SAMPLES: usize = 120_000;
 /// Standard deviation of the time between the table's channel and the others, in samples.
 const LAG: f64 = 0.3;
@@ -129,7 +129,7 @@ impl<'a> Measured<'a> {
                 (0..motion.windows.len()).filter(|k| motion.windows[*k].held_out == held_out).collect();
             let samples: usize =
                 all.iter().map(|k| motion.windows[*k].range.end - motion.windows[*k].warm_from).sum();
-            all.into_iter().step_by(samples.div_ceil(SAMPLES).max(1)).collect()
+            all.into_iter().step_by(samples.div_ceil(SAMPLES * motion.sources.len().max(1)).max(1)).collect()
         };
         let leak = motion.instruments.as_ref().map(|i| {
             let [one, two] = &i.accelerometers;
