@@ -4,6 +4,7 @@
 //!
 //! `cargo run --release -p hil-tests --example closing -- target/release/shaketable --seed 4000 [--size 0.08] [--only NAME] [--keep FOLDER]`
 
+use hil_tests::arguments;
 use hil_tests::hidden::{self, Recipe};
 use serde_json::Value;
 use shaketable::model::{ModelSpec, effects};
@@ -106,16 +107,16 @@ fn main() -> Result<(), Failure> {
     let program = words.next().ok_or("the program's path is missing")?;
     let program = Path::new(&program).canonicalize()?.display().to_string();
     let (mut seed, mut size, mut only, mut keep) = (4000, 0.08, None, None);
-    while let Some(word) = words.next() {
-        let value = words.next().ok_or("a value is missing")?;
-        match word.as_str() {
+    arguments::each(words, |word, value| {
+        match word {
             "--seed" => seed = value.parse()?,
             "--size" => size = value.parse()?,
             "--only" => only = Some(value),
             "--keep" => keep = Some(PathBuf::from(value)),
-            other => return Err(format!("unknown argument {other}").into()),
+            _ => return Ok(false),
         }
-    }
+        Ok(true)
+    })?;
     let fleeting = tempfile::tempdir()?;
     let folder = keep.unwrap_or_else(|| fleeting.path().to_owned());
     std::fs::create_dir_all(&folder)?;

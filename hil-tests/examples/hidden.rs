@@ -5,6 +5,7 @@
 //!
 //! `cargo run --release -p hil-tests --example hidden -- blind --seeds 1000..1200 --size 0.05 --noise 1`
 
+use hil_tests::arguments;
 use hil_tests::hidden::{self, Hidden, Recipe};
 use shaketable::diagnose::search::{Effort, Searcher};
 use shaketable::diagnose::trial::Trial;
@@ -23,21 +24,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let study = words.next().unwrap_or_else(|| "blind".to_owned());
     let (mut seeds, mut size, mut noise, mut only) = (0..20u64, 0.05, 1.0, None);
     let (mut verbose, mut told) = (false, false);
-    while let Some(word) = words.next() {
-        let value = words.next().ok_or("a value is missing")?;
-        match word.as_str() {
-            "--seeds" => {
-                let (from, to) = value.split_once("..").ok_or("--seeds FROM..TO")?;
-                seeds = from.parse()?..to.parse()?;
-            }
+    arguments::each(words, |word, value| {
+        match word {
+            "--seeds" => seeds = arguments::seeds(&value)?,
             "--size" => size = value.parse()?,
             "--noise" => noise = value.parse()?,
             "--verbose" => verbose = value.parse()?,
             "--told" => told = value.parse()?,
             "--only" => only = Some(value),
-            other => return Err(format!("unknown argument {other}").into()),
+            _ => return Ok(false),
         }
-    }
+        Ok(true)
+    })?;
     let all = hidden::studied();
     let mut tally: BTreeMap<&str, usize> = BTreeMap::new();
     let (mut cases, mut effect) = (0, Coverage::default());

@@ -4,6 +4,7 @@
 //!
 //! `cargo run --release -p hil-tests --example twins -- --seeds 1000..1040 --size 0.02`
 
+use hil_tests::arguments;
 use hil_tests::hidden::{self, Hidden, Recipe};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
@@ -27,20 +28,16 @@ const TWINS: [&str; 10] = [
 const ADDED: usize = 2;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut words = std::env::args().skip(1);
     let (mut seeds, mut size, mut only) = (0..20u64, 0.02, None);
-    while let Some(word) = words.next() {
-        let value = words.next().ok_or("a value is missing")?;
-        match word.as_str() {
-            "--seeds" => {
-                let (from, to) = value.split_once("..").ok_or("--seeds FROM..TO")?;
-                seeds = from.parse()?..to.parse()?;
-            }
+    arguments::each(std::env::args().skip(1), |word, value| {
+        match word {
+            "--seeds" => seeds = arguments::seeds(&value)?,
             "--size" => size = value.parse()?,
             "--only" => only = TWINS.iter().copied().find(|name| *name == value),
-            other => return Err(format!("unknown argument {other}").into()),
+            _ => return Ok(false),
         }
-    }
+        Ok(true)
+    })?;
     let (mut cases, mut ambiguous, mut proposed, mut random) = (0, 0, 0, 0);
     for seed in seeds {
         let effect = only.unwrap_or(TWINS[seed as usize % TWINS.len()]);
@@ -125,10 +122,11 @@ fn told(found: &Diagnosis) -> String {
 fn reach(case: &Hidden) -> Reach {
     let table = &case.record.table_acceleration_m_s2;
     let rms = (table.iter().map(|a| a * a).sum::<f64>() / table.len() as f64).sqrt();
+    let (stroke_m, velocity_m_s, acceleration_m_s2) = next_test::PAPERS_TABLE;
     Reach {
-        stroke_m: 0.20,
-        velocity_m_s: 0.5,
-        acceleration_m_s2: 5.9,
+        stroke_m,
+        velocity_m_s,
+        acceleration_m_s2,
         tried_m_s2: rms * 2f64.sqrt(),
         tried_hz: (0.6, 3.75),
         noise_m_s2: 0.01,

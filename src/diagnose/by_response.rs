@@ -16,10 +16,10 @@ use crate::parallel;
 const SCORED: usize = 4;
 /// So many starts of an effect that has more than two numbers.
 const STARTS: usize = 2;
-/// Every so many steps are looked at to sort them out.
-const HALF: usize = 2;
 /// So many of those are refined.
 const REFINED: usize = 3;
+/// Every so many steps are looked at to sort them out.
+const HALF: usize = 2;
 /// Nats to first order below which a candidate is not fitted, the first alone to be refused by name; and the share of the first
 /// one's.
 const WORTH: f64 = 8.0;
@@ -32,8 +32,8 @@ const STRUCTURED: f64 = 0.01;
 const BETTER: f64 = 2.0;
 /// Nats that a simpler effect beside the one that contains it has to bring.
 const MERGED: f64 = 20.0;
-/// A candidate that is behind the best by so many nats after a short fit is fitted in a few rounds more, to be refused by name.
-const HOPELESS: f64 = 150.0;
+/// What is behind the best by so many nats after a short fit gets no long one; a candidate a few rounds more, to be refused by name.
+pub(super) const HOPELESS: f64 = 150.0;
 const FEW_ROUNDS: usize = 4;
 /// How a fit goes on.
 const FURTHER_ON: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
@@ -71,9 +71,7 @@ impl Searcher<'_> {
             if !candidates::contained_in(whole).contains(&simple.as_str()) {
                 continue;
             }
-            let mut spec = trial.refit.spec.clone();
-            spec.effects.remove(spec.effects.len() - 2);
-            let alone = self.alone(base, spec, whole.clone());
+            let alone = self.second_alone(base, trial);
             if let Some(alone) = trial::respond(measured, &alone, None, settings)
                 && verdict::apart(trial, &alone) < MERGED
             {
@@ -86,29 +84,27 @@ impl Searcher<'_> {
     /// is may show only beside it.
     pub(super) fn exchange_first(&self, stage: &mut Stage, base: &Trial) {
         let (Some(measured), Some(pair)) = (&self.measured, stage.finalists.first()) else { return };
-        let [one, two] = pair.names.clone().try_into().unwrap_or_default();
-        let mut spec = pair.refit.spec.clone();
-        if one.is_empty() || spec.effects.len() < 2 {
-            return;
-        }
-        spec.effects.remove(spec.effects.len() - 2);
-        let alone = self.alone(base, spec, two);
+        let [one, _] = pair.names.as_slice() else { return };
         let settings = Settings { iterations: 12, ..Settings::default() };
-        let Some(second) = trial::respond(measured, &alone, None, settings) else { return };
+        let second = trial::respond(measured, &self.second_alone(base, pair), None, settings);
+        let Some(second) = second else { return };
         let spec = &second.refit.spec;
         let scales = candidates::scales(spec, self.motion);
         let mut effects = candidates::physical(spec, self.motion.kind);
-        effects.retain(|effect| effect.name != one);
+        effects.retain(|effect| effect.name != *one);
         stage.finalists.extend(self.by_response(measured, &second, &[], &effects, &scales));
         best_first(&mut stage.finalists, base);
     }
 
-    /// The base model with one effect, the last of a model, to be fitted.
-    fn alone(&self, base: &Trial, spec: ModelSpec, name: String) -> Trial {
+    /// A pair without its first effect, to be fitted.
+    fn second_alone(&self, base: &Trial, pair: &Trial) -> Trial {
+        let mut spec = pair.refit.spec.clone();
+        spec.effects.remove(spec.effects.len() - 2);
         let mut numbers = base.refit.numbers.clone();
         let scales = candidates::scales(&base.refit.spec, self.motion);
         numbers.add_effect(&spec, spec.effects.len() - 1, &scales);
-        Trial { names: vec![name], refit: Refit { spec, numbers, ..base.refit.clone() }, ..base.clone() }
+        let refit = Refit { spec, numbers, ..base.refit.clone() };
+        Trial { names: vec![verdict::last_name(pair)], refit, ..base.clone() }
     }
 
     /// Fits candidates by the simulated response: those that the force puts first, and those that the response itself does to

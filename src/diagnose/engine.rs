@@ -103,11 +103,10 @@ pub fn diagnose_together(
     };
     let mut parts = Vec::with_capacity(tests.len());
     let mut findings: Vec<Finding> = Vec::new();
+    let mut notes: Vec<String> = Vec::new();
     for (record, model) in tests {
         crate::model::build(model, 1.0 / record.sample_rate_hz)?;
-        if !options.anyway {
-            fit(record)?;
-        }
+        notes.extend(of_record(record, options.anyway)?);
         let motion = Motion::of(record, model.mass_kg, options.tolerances)?;
         let judged = |found| instruments::judge(found, record, options.tolerances);
         for finding in motion.instruments.as_ref().map(judged).unwrap_or_default() {
@@ -125,21 +124,24 @@ pub fn diagnose_together(
     let shaped = |taken: &Trial| searcher.shaped(&search.base, taken);
     let decision = verdict::decide(&search, structure, shaped, options.thresholds);
     let mut out = Composer { tests, nominal, options, motion: &motion, searcher: &searcher }
-        .compose(&search, decision, &findings)
+        .compose(&search, decision, &findings, notes)
         .ok_or_else(diverges)?;
     out.wall_s = begun.elapsed().as_secs_f64();
     Ok(out)
 }
 
-/// Refuses a record in which something is wrong before any physics is blamed.
-fn fit(record: &Record) -> Result<(), DiagnoseError> {
-    let of_record = quality::examine(record).into_iter();
-    let faults: Vec<String> =
-        of_record.filter(|f| f.severity == quality::Severity::Error).map(|f| f.text).collect();
-    if faults.is_empty() {
-        return Ok(());
+/// What is to be said of a record; refuses one that is not fit before any physics is blamed, unless it is to be used anyway.
+fn of_record(record: &Record, anyway: bool) -> Result<Vec<String>, DiagnoseError> {
+    let text = |finding: quality::Finding| finding.text;
+    let (errors, rest): (Vec<_>, Vec<_>) = quality::examine(record)
+        .into_iter()
+        .partition(|finding| !anyway && finding.severity == quality::Severity::Error);
+    if !errors.is_empty() {
+        let faults: Vec<String> = errors.into_iter().map(text).collect();
+        return Err(DiagnoseError::Unfit { record: record.source.clone(), faults: faults.join("; ") });
     }
-    Err(DiagnoseError::Unfit { record: record.source.clone(), faults: faults.join("; ") })
+    let new = rest.into_iter().map(text).filter(|text| !record.notes.contains(text));
+    Ok(record.notes.iter().cloned().chain(new).collect())
 }
 
 struct Composer<'a> {
@@ -151,7 +153,13 @@ struct Composer<'a> {
 }
 
 impl Composer<'_> {
-    fn compose(&self, search: &Search, decision: Decision, findings: &[Finding]) -> Option<Diagnosis> {
+    fn compose(
+        &self,
+        search: &Search,
+        decision: Decision,
+        findings: &[Finding],
+        notes: Vec<String>,
+    ) -> Option<Diagnosis> {
         let problem = self.searcher.problem();
         let chosen = &decision.chosen;
         // Response of both ends of the ladder, simulated once.
@@ -223,7 +231,7 @@ impl Composer<'_> {
             ladder,
             reidentified: self.reidentified(&chosen.refit),
             not_identifiable: self.not_identifiable(&chosen.refit),
-            notes: self.notes(findings),
+            notes: self.notes(findings, notes),
             share_left: left,
             wall_s: 0.0,
         })
@@ -292,21 +300,25 @@ impl Composer<'_> {
         let reach = self.reach()?;
         let stage =
             search.stages.iter().rfind(|s| s.finalists.iter().any(|t| t.names == decision.chosen.names));
-        let chosen = (verdict::last_name(&decision.chosen), &decision.chosen.refit);
+        let chosen = &decision.chosen;
         let finalists = stage.map(|s| s.finalists.as_slice()).unwrap_or_default();
+        // As the rivals were told apart: of pairs it may be the first effect that they differ in.
+        let own = |trial: &Trial| verdict::own_name(trial, chosen);
         let rival: Option<&Trial> = finalists
             .iter()
-            .find(|t| decision.ambiguous_with.contains(&verdict::last_name(t)))
-            .or_else(|| finalists.iter().find(|t| verdict::last_name(t) != chosen.0));
+            .find(|t| decision.ambiguous_with.contains(&own(t)))
+            .or_else(|| finalists.iter().find(|t| own(t) != verdict::own_name(chosen, t)));
         let rival = rival?;
-        next_test::propose((&chosen.0, chosen.1), (&verdict::last_name(rival), &rival.refit), &reach)
+        let first = (verdict::own_name(chosen, rival), own(rival));
+        next_test::propose((&first.0, &chosen.refit), (&first.1, &rival.refit), &reach)
     }
 
     /// What the rig can do, beside what it did.
     fn reach(&self) -> Option<Reach> {
         let frequencies = self.motion.windows.iter().map(|w| w.frequency_hz);
         let (low, high) = frequencies.fold((f64::INFINITY, 0.0_f64), |(l, h), f| (l.min(f), h.max(f)));
-        let (stroke_m, velocity_m_s, acceleration_m_s2) = self.options.reach.unwrap_or((0.20, 0.5, 5.9));
+        let (stroke_m, velocity_m_s, acceleration_m_s2) =
+            self.options.reach.unwrap_or(next_test::PAPERS_TABLE);
         let tried = if self.motion.kind == Kind::Base {
             self.motion.rms(&self.motion.drive_m_s2) * 2f64.sqrt()
         } else {
@@ -374,13 +386,8 @@ impl Composer<'_> {
         out
     }
 
-    fn notes(&self, findings: &[Finding]) -> Vec<String> {
-        let of_record = |(record, _): &(&Record, &ModelSpec)| {
-            let faults = quality::examine(record).into_iter().map(|finding| finding.text);
-            let known = |text: &String| !record.notes.contains(text);
-            record.notes.iter().cloned().chain(faults.filter(known)).collect::<Vec<_>>()
-        };
-        let mut notes: Vec<String> = self.tests.iter().flat_map(of_record).collect();
+    /// What is to be said of the records, and then of the instruments.
+    fn notes(&self, findings: &[Finding], mut notes: Vec<String>) -> Vec<String> {
         notes.extend(findings.iter().map(|f| format!("{}: {}", f.name, f.text)));
         if let Some(found) = &self.motion.instruments {
             let [a, b] = found.accelerometers;

@@ -104,6 +104,9 @@ pub struct Reach {
     pub laser_noise_m: f64,
 }
 
+/// Stroke (m), velocity (m/s) and acceleration (m/s2) of the paper's table.
+pub const PAPERS_TABLE: (f64, f64, f64) = (0.20, 0.5, 5.9);
+
 /// What a laser's zero is good to, m.
 const LASER_ZERO_M: f64 = 20e-6;
 

@@ -356,7 +356,7 @@ fn refuse(trial: &Trial, against: &Trial, base: &Trial, why: &str) -> Refused {
 }
 
 /// The effect that a trial has and another one has not, the last one where that is none.
-fn own_name(trial: &Trial, other: &Trial) -> String {
+pub fn own_name(trial: &Trial, other: &Trial) -> String {
     let own = trial.names.iter().rfind(|name| !other.names.contains(name));
     own.or(trial.names.last()).cloned().unwrap_or_default()
 }
