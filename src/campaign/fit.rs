@@ -369,8 +369,8 @@ impl<'a> Problem<'a> {
     /// Where Gauss-Newton comes to from a start, and its covariance there.
     fn descend(&self, cells: &[&Cell], start: Vec<f64>, effort: Effort) -> Option<(Vec<f64>, DMatrix<f64>)> {
         let free = self.free_from(start);
-        let mut residuals = |x: &[f64], r: &mut Vec<f64>| self.residuals(x, cells, Look::Smooth, r);
-        let fit = least_squares::fit(&free, Self::settings(effort), &mut residuals)?;
+        let residuals = |x: &[f64], r: &mut Vec<f64>| self.residuals(x, cells, Look::Smooth, r);
+        let fit = least_squares::fit(&free, Self::settings(effort), residuals)?;
         Some((fit.values.clone(), fit.covariance(&free, 1.0)))
     }
 

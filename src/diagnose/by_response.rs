@@ -33,8 +33,8 @@ const BETTER: f64 = 2.0;
 /// Nats that a simpler effect beside the one that contains it has to bring.
 const MERGED: f64 = 20.0;
 /// What is behind the best by so many nats after a short fit gets no long one; a candidate a few rounds more, to be refused by name.
-pub(super) const HOPELESS: f64 = 150.0;
-const FEW_ROUNDS: usize = 4;
+const HOPELESS: f64 = 150.0;
+const FEW_ROUNDS: usize = 2;
 /// How a fit goes on.
 const FURTHER_ON: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
 /// Stribeck velocities that are tried beside Coulomb's friction, over the typical velocity; how much more than it breakaway takes; and
@@ -258,17 +258,18 @@ pub(super) fn to_first_order(
     with: impl Fn(&EffectSpec) -> ModelSpec,
     fainter: impl Fn(&EffectSpec, f64) -> Option<EffectSpec>,
 ) -> Option<(EffectSpec, Score)> {
-    let mut score = tangent.score(&with(&start))?;
+    let mut change = tangent.change(&with(&start))?;
     for _ in 0..FAINTER {
-        if score.change < FAINT {
+        if change < FAINT {
             break;
         }
-        let Some(weaker) = fainter(&start, 0.5 * FAINT / score.change) else { break };
-        match tangent.score(&with(&weaker)) {
-            Some(of) if of.change < 0.7 * score.change => (start, score) = (weaker, of),
+        let Some(weaker) = fainter(&start, 0.5 * FAINT / change) else { break };
+        match tangent.change(&with(&weaker)) {
+            Some(of) if of < 0.7 * change => (start, change) = (weaker, of),
             _ => break,
         }
     }
+    let score = tangent.score(&with(&start))?;
     let again = tangent.score_again(&with(&start), &score);
     let score = again.filter(|of| of.change < score.change).unwrap_or(score);
     Some((start, score))

@@ -33,7 +33,7 @@ impl Default for Effort {
     fn default() -> Self {
         Self {
             screening_samples: 20_000,
-            fitting_samples: 400_000,
+            fitting_samples: 200_000,
             output_samples: 60_000,
             finalists: 5,
             together: 3,
@@ -89,7 +89,7 @@ impl<'a> Searcher<'a> {
     /// merely off puts them beside the contacts.
     pub fn new(motion: &'a Motion, nominal: &ModelSpec, effort: Effort) -> Self {
         let total: usize = motion.windows.iter().map(|w| w.range.len()).sum();
-        let mut screening = Problem::new(motion, nominal, effort.screening_samples);
+        let mut screening = Problem::of_some(motion, nominal, effort.screening_samples);
         let mut fitting = Problem::new(motion, nominal, effort.fitting_samples);
         let mut fitted: Option<Refit> = None;
         // A component on its own has no contact to be beside of, and its given model may promise next to nothing.

@@ -3,7 +3,7 @@
 //! more than chance; a force that is really there brings one that is like it. The verdict "outside the catalogue" stands on it
 //! wherever a base record drives a simulation.
 
-use super::by_response::{HOPELESS, to_first_order};
+use super::by_response::to_first_order;
 use super::search::Searcher;
 use super::trial::{self, Trial};
 use super::{candidates, verdict};
@@ -33,6 +33,9 @@ pub struct Shaped {
 
 /// Share of what an explanation brings to first order below which a shape is not fitted in its place.
 const WORTH: f64 = 0.3;
+
+/// Nats that one may be behind after a short fit for a longer one: its amplitude was known to first order.
+const BEHIND: f64 = 60.0;
 
 /// Even and odd powers of displacement and velocity and their products, waves over displacement, forces of one side, friction in
 /// places, and slow changes.
@@ -99,7 +102,7 @@ impl Searcher<'_> {
         let rounds = |iterations: usize| Settings { iterations, ..Settings::default() };
         let fitted = trial::respond(measured, &start, None, rounds(3))?;
         let ahead = verdict::apart(&fitted, taken);
-        if ahead < -HOPELESS {
+        if ahead < -BEHIND {
             return Some(ahead);
         }
         let laid = fitted.response.as_ref().map(|response| &response.training);

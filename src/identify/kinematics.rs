@@ -8,6 +8,7 @@
 
 use super::least_squares::{self, Free, Settings, dot};
 use super::spectral::{Spectrum, white_noise_rms};
+use crate::parallel;
 use crate::record::Record;
 use realfft::num_complex::Complex64;
 
@@ -73,7 +74,8 @@ impl Instruments {
     /// Unit gains and no delays, with the noise of the record: where it is too short to tell more.
     pub fn assumed_sound(record: &Record) -> Self {
         let rate = record.sample_rate_hz;
-        let noise = |channel: &[f64]| white_noise_rms(&tapered(channel, rate), 0.5, 0.9) / 1.5_f64.sqrt();
+        let noise =
+            |channel: &[f64]| white_noise_rms(&tapered(channel, rate), 0.5, 0.9) / HANN_MEAN_SQUARE.sqrt();
         let sound = |channel: &[f64]| Accelerometer {
             gain: Estimate { value: 1.0, sigma: 0.0 },
             noise_m_s2: noise(channel),
@@ -107,21 +109,25 @@ pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
     if n < 64 || record.table_acceleration_m_s2.len() != n || record.mass_acceleration_1_m_s2.len() != n {
         return None;
     }
-    let laser = Spectrum::of(&record.relative_displacement_m, rate);
-    let table = Spectrum::of(&record.table_acceleration_m_s2, rate);
-    let mass = [Spectrum::of(&record.mass_acceleration_1_m_s2, rate), Spectrum::of(second, rate)];
-    // The window's mean square is 1.5.
-    let noise = |channel: &[f64]| white_noise_rms(&tapered(channel, rate), 0.5, 0.9) / 1.5_f64.sqrt();
-    let laser_noise_m = noise(&record.relative_displacement_m);
-    let table_noise_m_s2 = noise(&record.table_acceleration_m_s2);
-    let mass_noise_m_s2 = [noise(&record.mass_acceleration_1_m_s2), noise(second)];
-    let band = Band::of(
-        &tapered(&record.relative_displacement_m, rate),
-        laser_noise_m,
-        table_noise_m_s2.hypot(mass_noise_m_s2[0].max(mass_noise_m_s2[1])),
-    )?;
-    let relations =
-        [Relation::fit(&laser, &table, &mass[0], &band)?, Relation::fit(&laser, &table, &mass[1], &band)?];
+    let channels = [
+        &record.relative_displacement_m,
+        &record.table_acceleration_m_s2,
+        &record.mass_acceleration_1_m_s2,
+        second,
+    ];
+    let noise = |tapered: &Spectrum| white_noise_rms(tapered, 0.5, 0.9) / HANN_MEAN_SQUARE.sqrt();
+    let seen = parallel::map(&channels, parallel::cores(), |channel| {
+        let tapered = tapered(channel, rate);
+        (Spectrum::of(channel, rate), noise(&tapered), tapered)
+    });
+    let [(laser, laser_noise_m, tapered_laser), (table, table_noise_m_s2, _), one, two] =
+        seen.try_into().ok()?;
+    let mass_noise_m_s2 = [one.1, two.1];
+    let mass_noise_most_m_s2 = one.1.max(two.1);
+    let band = Band::of(&tapered_laser, laser_noise_m, table_noise_m_s2.hypot(mass_noise_most_m_s2))?;
+    let related =
+        parallel::map(&[one.0, two.0], parallel::cores(), |mass| Relation::fit(&laser, &table, mass, &band));
+    let relations: [Relation; 2] = related.into_iter().collect::<Option<Vec<_>>>()?.try_into().ok()?;
     let mut found = share_gains(&relations, tolerances)?;
     found.laser_noise_m = laser_noise_m;
     found.table_noise_m_s2 = table_noise_m_s2;
@@ -131,6 +137,9 @@ pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
     found.misfit = relations[0].rms.max(relations[1].rms) / band.expected_rms(&laser).max(1e-300);
     Some(found)
 }
+
+/// Mean square of the window under which noise is measured.
+const HANN_MEAN_SQUARE: f64 = 1.5;
 
 /// Spectrum under a Hann window, which shows where the motion is without the ends' leakage.
 fn tapered(channel: &[f64], rate: f64) -> Spectrum {

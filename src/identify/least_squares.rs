@@ -5,6 +5,7 @@
 //! that is kept of the Jacobian. (Levenberg 1944; Marquardt 1963; intervals: Seber and Wild,
 //! Nonlinear Regression, 1989, ch. 2.)
 
+use crate::parallel;
 use nalgebra::{DMatrix, DVector};
 
 /// One free number of a fit.
@@ -80,15 +81,14 @@ impl Default for Settings {
 }
 
 /// Minimises the residuals over the free numbers. `residuals` fills the vector for given values
-/// (always the same length) and returns false where the model cannot be evaluated.
+/// (always the same length) and returns false where the model cannot be evaluated; it is called from several cores at once.
 ///
 /// `None` when the start itself cannot be evaluated.
 pub fn fit(
     free: &[Free],
     settings: Settings,
-    mut residuals: impl FnMut(&[f64], &mut Vec<f64>) -> bool,
+    residuals: impl Fn(&[f64], &mut Vec<f64>) -> bool + Sync,
 ) -> Option<Fit> {
-    let n = free.len();
     let mut x: Vec<f64> = free.iter().map(|f| f.start.clamp(f.bounds.0, f.bounds.1)).collect();
     let mut r = Vec::new();
     if !residuals(&x, &mut r) || r.iter().any(|v| !v.is_finite()) {
@@ -97,8 +97,7 @@ pub fn fit(
     let mut cost = sum_of_squares(&r) + prior_sum(free, &x);
     let mut damping = 1e-4;
     let mut shifted = Vec::with_capacity(r.len());
-    let mut jacobian: Vec<Vec<f64>> = vec![Vec::new(); n];
-    let mut system = linearise(free, settings, &x, &r, &mut jacobian, &mut shifted, &mut residuals);
+    let mut system = linearise(free, settings, &x, &r, &residuals);
     let mut used = 0;
     while used < settings.iterations {
         used += 1;
@@ -112,7 +111,7 @@ pub fn fit(
             std::mem::swap(&mut r, &mut shifted);
             cost = trial_cost;
             damping = (damping * 0.1).max(1e-9);
-            system = linearise(free, settings, &x, &r, &mut jacobian, &mut shifted, &mut residuals);
+            system = linearise(free, settings, &x, &r, &residuals);
             if decrease < settings.tolerance {
                 break;
             }
@@ -139,30 +138,28 @@ fn linearise(
     settings: Settings,
     x: &[f64],
     r: &[f64],
-    jacobian: &mut [Vec<f64>],
-    shifted: &mut Vec<f64>,
-    residuals: &mut impl FnMut(&[f64], &mut Vec<f64>) -> bool,
+    residuals: &(impl Fn(&[f64], &mut Vec<f64>) -> bool + Sync),
 ) -> (DMatrix<f64>, DVector<f64>) {
     let n = free.len();
-    let mut at = x.to_vec();
-    for j in 0..n {
+    let each: Vec<usize> = (0..n).collect();
+    let jacobian = parallel::map(&each, parallel::cores(), |&j| {
+        let (mut at, mut column) = (x.to_vec(), Vec::with_capacity(r.len()));
         let mut h = settings.difference * free[j].scale;
         if x[j] + h > free[j].bounds.1 {
             h = -h;
         }
         at[j] = x[j] + h;
-        let sound = residuals(&at, shifted) && shifted.len() == r.len();
-        at[j] = x[j];
-        jacobian[j].clear();
-        if sound {
-            jacobian[j].extend(shifted.iter().zip(r).map(|(b, a)| {
-                let slope = (b - a) / h;
-                if slope.is_finite() { slope } else { 0.0 }
-            }));
+        if residuals(&at, &mut column) && column.len() == r.len() {
+            column.iter_mut().zip(r).for_each(|(b, a)| {
+                let slope = (*b - a) / h;
+                *b = if slope.is_finite() { slope } else { 0.0 };
+            });
         } else {
-            jacobian[j].resize(r.len(), 0.0);
+            column.clear();
+            column.resize(r.len(), 0.0);
         }
-    }
+        column
+    });
     let mut normal = DMatrix::zeros(n, n);
     let mut gradient = DVector::zeros(n);
     for j in 0..n {

@@ -4,6 +4,7 @@ pub mod kinematics;
 pub mod least_squares;
 pub mod motion;
 pub mod numbers;
+mod output_error;
 pub mod periodic;
 pub mod problem;
 pub mod refit;

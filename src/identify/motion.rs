@@ -9,6 +9,7 @@
 use super::kinematics::{self, Instruments, Tolerances};
 use super::spectral::{Spectrum, white_noise_rms};
 use super::together::Source;
+use crate::parallel;
 use crate::record::{Kind, Record};
 use realfft::num_complex::Complex64;
 use std::ops::Range;
@@ -361,21 +362,26 @@ fn integrate(acceleration: &[f64], sa: f64, rate: f64) -> Fused {
 }
 
 /// The channel, its first and second derivative, and their noise from a density a bin.
-fn derivatives(spectrum: &Spectrum, density: impl Fn(f64) -> f64) -> Fused {
-    let derivative = |order: i32| spectrum.clone().multiply(|w| Complex64::new(0.0, w).powi(order)).channel();
+fn derivatives(spectrum: &Spectrum, density: impl Fn(f64) -> f64 + Sync) -> Fused {
     let bins = spectrum.bins.len();
-    let noise = |order: i32| {
-        let sum: f64 =
-            (0..bins).map(|b| spectrum.omega_rad_s(b)).map(|w| density(w) * w.powi(2 * order)).sum();
-        (sum / bins as f64).sqrt()
-    };
+    let derived = parallel::map(&[0, 1, 2], parallel::cores(), |&order: &i32| {
+        let at = |b: usize| spectrum.omega_rad_s(b);
+        let sum: f64 = (0..bins).map(at).map(|w| density(w) * w.powi(2 * order)).sum();
+        let derived = match order {
+            0 => spectrum.clone(),
+            1 => spectrum.clone().multiply(|w| Complex64::new(0.0, w)),
+            _ => spectrum.clone().multiply(|w| Complex64::from(-w * w)),
+        };
+        (derived.channel(), (sum / bins as f64).sqrt())
+    });
+    let [displacement, velocity, acceleration] = <[_; 3]>::try_from(derived).unwrap_or_default();
     Fused {
-        displacement_m: spectrum.clone().channel(),
-        velocity_m_s: derivative(1),
-        acceleration_m_s2: derivative(2),
-        displacement_noise_m: noise(0),
-        velocity_noise_m_s: noise(1),
-        acceleration_noise_m_s2: noise(2),
+        displacement_m: displacement.0,
+        velocity_m_s: velocity.0,
+        acceleration_m_s2: acceleration.0,
+        displacement_noise_m: displacement.1,
+        velocity_noise_m_s: velocity.1,
+        acceleration_noise_m_s2: acceleration.1,
     }
 }
 

@@ -7,6 +7,7 @@
 
 use super::kinematics::Instruments;
 use super::motion::{Motion, Window};
+pub use super::output_error::OutputError;
 use crate::model::{self, ModelSpec, Specimen};
 use crate::record::Kind;
 
@@ -49,8 +50,12 @@ pub struct Problem<'a> {
     drift_m: f64,
     /// Stretches that are simulated in fits: the last cycles of some of the training windows.
     brief: Vec<Window>,
+    /// Whether each window is looked at.
+    used: Vec<bool>,
 }
 
+/// Steps that are looked at at least to sort out.
+const FEWEST_STEPS: usize = 16;
 /// Noises of the displacement within which a bend of the force is not to be trusted: of a model that is yet to be fitted, and
 /// of one that is.
 pub const WIDE: f64 = 16.0;
@@ -67,64 +72,45 @@ const BRIEF_CYCLES: f64 = 2.0;
 /// Simulated steps that a fit may take at each evaluation.
 const BRIEF_STEPS: usize = 80_000;
 
-/// Noise-weighted errors of a simulated response.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct OutputError {
-    /// Sum of squared errors of A, (m/s2)^2.
-    pub sum_a: f64,
-    /// Sum of squares of the measured A, (m/s2)^2.
-    pub power_a: f64,
-    /// Sum of squared errors of D, m^2.
-    pub sum_d: f64,
-    /// Sum of squares of the measured D about its mean, m^2.
-    pub power_d: f64,
-    /// Samples.
-    pub count: usize,
-}
-
-impl OutputError {
-    /// The sum of two.
-    fn with(self, other: &Self) -> Self {
-        Self {
-            sum_a: self.sum_a + other.sum_a,
-            power_a: self.power_a + other.power_a,
-            sum_d: self.sum_d + other.sum_d,
-            power_d: self.power_d + other.power_d,
-            count: self.count + other.count,
-        }
-    }
-
-    /// Both errors are finite.
-    pub fn is_finite(&self) -> bool {
-        self.sum_a.is_finite() && self.sum_d.is_finite()
-    }
-
-    /// Normalised RMS error of A.
-    pub fn nrmse_a(&self) -> f64 {
-        (self.sum_a / self.power_a.max(1e-300)).sqrt()
-    }
-
-    /// Normalised RMS error of D.
-    pub fn nrmse_d(&self) -> f64 {
-        (self.sum_d / self.power_d.max(1e-300)).sqrt()
-    }
-}
-
 impl<'a> Problem<'a> {
     /// Chooses the thinning and weighs the samples for the given model.
     pub fn new(motion: &'a Motion, spec: &ModelSpec, most_samples: usize) -> Self {
-        let total: usize = motion.windows.iter().map(|w| w.range.end - w.warm_from).sum();
-        let highest = motion.windows.iter().map(|w| w.frequency_hz).fold(0.0, f64::max).max(1e-12);
-        // At least 100 samples a cycle of the fastest step, so that a contact is not skipped.
-        let coarsest = ((motion.sample_rate_hz / (100.0 * highest)) as usize).max(1);
-        let thin = total.div_ceil(most_samples.max(1)).clamp(1, coarsest);
+        let (_, thin) = thinning(motion, most_samples);
+        Self::weighed(motion, spec, thin, vec![true; motion.windows.len()])
+    }
+
+    /// The same for sorting out: of a record that has far more samples and many steps, every so many steps of each part.
+    pub fn of_some(motion: &'a Motion, spec: &ModelSpec, most_samples: usize) -> Self {
+        let (total, thin) = thinning(motion, most_samples);
+        let every = (total / (thin * most_samples.max(1))).min(motion.windows.len() / FEWEST_STEPS).max(1);
+        let mut before = [0, 0];
+        let used = |window: &Window| {
+            let before = &mut before[usize::from(window.held_out)];
+            *before += 1;
+            (*before - 1) % every == 0
+        };
+        Self::weighed(motion, spec, thin, motion.windows.iter().map(used).collect())
+    }
+
+    fn weighed(motion: &'a Motion, spec: &ModelSpec, thin: usize, used: Vec<bool>) -> Self {
         // The motion of a component is imposed, and read where it is.
         let drift = if motion.kind == Kind::Component { 0.0 } else { DRIFT };
         let drift_m = drift * motion.rms(&motion.displacement_m);
-        let mut problem =
-            Self { motion, thin, weights: Vec::new(), slopes: Vec::new(), drift_m, brief: brief(motion) };
+        let mut problem = Self {
+            motion,
+            thin,
+            weights: Vec::new(),
+            slopes: Vec::new(),
+            drift_m,
+            brief: brief(motion),
+            used,
+        };
         problem.weigh(spec, 0.0, WIDE);
         problem
+    }
+
+    fn takes(&self, part: Part, k: usize) -> bool {
+        self.used[k] && part.takes(&self.motion.windows[k])
     }
 
     /// Weighs the samples for a model and the zero of its displacement sensor: what the noise of the displacement makes of
@@ -134,8 +120,8 @@ impl<'a> Problem<'a> {
         let motion = self.motion;
         let shift = self.shift_m();
         let aside_m = around * (3.0 * shift + self.drift_m);
-        let centre = self.restoring(spec, zero_m);
-        let sides = [aside_m, -aside_m].map(|aside| self.restoring(spec, zero_m + aside));
+        let centre = self.restoring(spec, zero_m, Part::All);
+        let sides = [aside_m, -aside_m].map(|aside| self.restoring(spec, zero_m + aside, Part::All));
         let slow = 3.0 * motion.velocity_noise_m_s;
         self.slopes.clear();
         self.weights.clear();
@@ -168,13 +154,25 @@ impl<'a> Problem<'a> {
     }
 
     /// Restoring force over the mass of the model along the measured motion, by window, the
-    /// displacement shifted by `shift_m`; `None` when the model cannot be built.
-    pub fn restoring(&self, spec: &ModelSpec, shift_m: f64) -> Option<Vec<Vec<f64>>> {
+    /// displacement shifted by `shift_m`, nothing for windows that are not of the part; `None` when the model cannot be built.
+    pub fn restoring(&self, spec: &ModelSpec, shift_m: f64, part: Part) -> Option<Vec<Vec<f64>>> {
         let motion = self.motion;
+        let windows = &motion.windows;
+        // Where windows follow one another without a break, what is before one is its warming up.
+        let mut imposed: Vec<bool> = (0..windows.len()).map(|k| self.takes(part, k)).collect();
+        for k in (1..windows.len()).rev() {
+            let follows = windows[k].range.start == windows[k - 1].range.end
+                && windows[k].source == windows[k - 1].source;
+            imposed[k - 1] |= imposed[k] && follows;
+        }
         let mut specimens = self.specimens(spec, motion.dt_s() * self.thin as f64)?;
         let mut out = Vec::with_capacity(motion.windows.len());
         let mut at = (usize::MAX, 0);
-        for window in &motion.windows {
+        for (window, imposed) in windows.iter().zip(imposed) {
+            if !imposed {
+                out.push(Vec::new());
+                continue;
+            }
             let specimen = &mut *specimens[window.source];
             // Neighbouring windows continue where the last one ended; others are warmed up.
             let from = if at == (window.range.start, window.source) {
@@ -224,8 +222,8 @@ impl<'a> Problem<'a> {
     /// Returns false when the model cannot be built.
     pub fn force_residuals(&self, spec: &ModelSpec, shift_m: f64, part: Part, out: &mut Vec<f64>) -> bool {
         out.clear();
-        let Some(modelled) = self.restoring(spec, shift_m) else { return false };
-        for (k, window) in self.motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w)) {
+        let Some(modelled) = self.restoring(spec, shift_m, part) else { return false };
+        for (k, window) in self.motion.windows.iter().enumerate().filter(|(k, _)| self.takes(part, *k)) {
             let begin = out.len();
             for (i, n) in self.samples(window).enumerate() {
                 let weight = self.weights[k][i];
@@ -244,7 +242,7 @@ impl<'a> Problem<'a> {
         let Some(Instruments { accelerometers: [one, two], .. }) = &motion.instruments else { return };
         let sigma = 0.5 * (one.leak.sigma + two.leak.sigma);
         let at = || {
-            let windows = motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w));
+            let windows = motion.windows.iter().enumerate().filter(|(k, _)| self.takes(part, *k));
             windows.flat_map(|(k, w)| {
                 self.samples(w).zip(&self.weights[k]).map(|(n, weight)| weight * motion.drive_m_s2[n])
             })
@@ -438,7 +436,7 @@ impl<'a> Problem<'a> {
         let motion = self.motion;
         let windows = motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w));
         if motion.kind == Kind::Component {
-            let modelled = self.restoring(spec, shift_m)?;
+            let modelled = self.restoring(spec, shift_m, part)?;
             let force = |(k, window): (usize, &Window)| {
                 let mut error = OutputError::default();
                 for (i, n) in self.samples(window).enumerate() {
@@ -468,6 +466,15 @@ impl<'a> Problem<'a> {
         };
         Some(windows.map(response).collect())
     }
+}
+
+/// Samples of all steps with their warming up, and every how many one counts.
+fn thinning(motion: &Motion, most_samples: usize) -> (usize, usize) {
+    let total: usize = motion.windows.iter().map(|w| w.range.end - w.warm_from).sum();
+    let highest = motion.windows.iter().map(|w| w.frequency_hz).fold(0.0, f64::max).max(1e-12);
+    // At least 100 samples a cycle of the fastest step, so that a contact is not skipped.
+    let coarsest = ((motion.sample_rate_hz / (100.0 * highest)) as usize).max(1);
+    (total, total.div_ceil(most_samples.max(1)).clamp(1, coarsest))
 }
 
 /// The last cycles of every so many training windows.

@@ -70,8 +70,8 @@ pub fn refit(
     settings: Settings,
 ) -> Option<Refit> {
     let free = with_zero(numbers, zero_m, zero_sigma_m(problem.motion));
-    let mut spec = start.clone();
-    let mut evaluate = |x: &[f64], r: &mut Vec<f64>| {
+    let evaluate = |x: &[f64], r: &mut Vec<f64>| {
+        let mut spec = start.clone();
         let zero = x[x.len() - 1];
         numbers.put(x, &mut spec)
             && match domain {
@@ -79,7 +79,7 @@ pub fn refit(
                 Domain::Output { stride } => problem.output_residuals(&spec, zero, part, stride, r),
             }
     };
-    let fit = least_squares::fit(&free, settings, &mut evaluate)?;
+    let fit = least_squares::fit(&free, settings, evaluate)?;
     let mut residuals = Vec::new();
     evaluate(&fit.values, &mut residuals);
     let inflation = inflation(&residuals);

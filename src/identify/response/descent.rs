@@ -1,14 +1,17 @@
 //! Damped Gauss-Newton on the response: the nuisances of each step are eliminated from the normal equations, which therefore stay
 //! as small as the model. Called for every fit and every judgement by the response.
 
-use super::{COMMON, HUBER, Laid, Measured, Nuisances, OVER, Simulated, Specimens, Step, robust, slopes};
+use super::{
+    COMMON, HUBER, Laid, Measured, Nuisances, OVER, Simulated, Specimens, Step, TOGETHER, robust, slopes,
+};
 use crate::identify::least_squares::{self, Free, Settings, dot};
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
 use crate::identify::refit::Refit;
 use crate::model::ModelSpec;
+use crate::parallel;
 use nalgebra::{DMatrix, DVector};
-use std::cell::RefCell;
+use std::sync::Arc;
 
 /// Difference for a slope along a nuisance, over its prior deviation.
 const SMALL: f64 = 0.2;
@@ -25,12 +28,11 @@ impl<'a> Measured<'a> {
     /// Slopes of a step's residuals along the values that move and along its nuisances.
     fn columns(
         &self,
-        job: &Job<'_>,
-        moved: &mut [Moved],
+        job: &mut Job<'_>,
         step: &Step<'_>,
         own: &[f64],
-        known: Option<Vec<Vec<f64>>>,
-    ) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
+        known: Option<Arc<Vec<Vec<f64>>>>,
+    ) -> (Vec<Vec<f64>>, Arc<Vec<Vec<f64>>>) {
         let motion = self.motion;
         let (window, n) = (step.window, step.simulated.len());
         let (sa, sd) = (1.0 / motion.restoring_noise_m_s2, 1.0 / motion.laser_noise_m);
@@ -47,23 +49,21 @@ impl<'a> Measured<'a> {
             let small = |i: usize| if counts(i) && change(i).abs() < most { change(i) / h } else { 0.0 };
             column(&small, &|i| (step.simulated[i].1 - simulated[i].1) / h)
         };
-        let mut along = Vec::with_capacity(moved.len() + COMMON);
-        for m in moved.iter_mut() {
+        let mut along = Vec::with_capacity(job.moved.len() + COMMON);
+        for m in &mut job.moved {
             let simulated = self.simulate(&mut m.specimens, window, common[0], own);
             along.push(changed(&simulated, m.h));
         }
-        let fresh = known.is_none();
-        let mut beside = known.unwrap_or_default();
-        if fresh {
-            let mut specimens = job.own.borrow_mut();
+        let mut fresh = Vec::new();
+        if known.is_none() {
             for (j, sigma) in self.sigmas(window).into_iter().enumerate().take(self.followed(window)) {
                 let h = SMALL * sigma.max(1e-12);
                 let mut start = own.to_vec();
                 start[j] += h;
-                let simulated = self.simulate(&mut specimens, window, common[0], &start);
-                beside.push(changed(&simulated, h));
+                let simulated = self.simulate(&mut job.own, window, common[0], &start);
+                fresh.push(changed(&simulated, h));
             }
-            beside.push(column(&|i| if counts(i) { -1.0 } else { 0.0 }, &|_| 0.0));
+            fresh.push(column(&|i| if counts(i) { -1.0 } else { 0.0 }, &|_| 0.0));
             let knots = self.knots(window);
             for knot in 0..knots {
                 let share = |i: usize| match self.beside(window, i, knots) {
@@ -71,13 +71,13 @@ impl<'a> Measured<'a> {
                     (left, share) if left + 1 == knot => share,
                     _ => 0.0,
                 };
-                beside.push(column(&|_| 0.0, &|i| -share(i)));
+                fresh.push(column(&|_| 0.0, &|i| -share(i)));
             }
         }
         if job.moving {
             let rate = motion.sample_rate_hz;
             // The start is measured from the zero.
-            let start = &beside[0];
+            let start = &known.as_deref().unwrap_or(&fresh)[0];
             along.push(column(&|i| start[i] / sa, &|i| 1.0 + start[n + i] / sd));
             let drive = |i: usize| if counts(i) { -motion.drive_m_s2[window.range.start + i] } else { 0.0 };
             along.push(column(&drive, &|_| 0.0));
@@ -90,13 +90,11 @@ impl<'a> Measured<'a> {
         // A large residual stands as the root of its share of the cost.
         for (i, r) in step.residuals[..n].iter().enumerate().filter(|(_, r)| r.abs() > HUBER) {
             along.iter_mut().for_each(|c| c[i] *= HUBER / r.abs());
-            if fresh {
-                beside.iter_mut().for_each(|c| c[i] *= HUBER / r.abs());
-            }
+            fresh.iter_mut().for_each(|c| c[i] *= HUBER / r.abs());
         }
         let finite = |c: &Vec<f64>| c.iter().all(|x| x.is_finite());
-        along.iter_mut().chain(&mut beside).filter(|c| !finite(c)).for_each(|c| c.fill(0.0));
-        (along, beside)
+        along.iter_mut().chain(&mut fresh).filter(|c| !finite(c)).for_each(|c| c.fill(0.0));
+        (along, known.unwrap_or_else(|| Arc::new(fresh)))
     }
 
     /// Fits a model's numbers to the steps of training from where another fit ended.
@@ -216,8 +214,34 @@ impl<'a> Measured<'a> {
         steps: &[Step<'_>],
         known: Option<System>,
     ) -> Option<System> {
-        let mut moved = Vec::new();
+        let each: Vec<usize> = (0..steps.len()).collect();
+        let chunks: Vec<&[usize]> = each.chunks(TOGETHER).collect();
+        let known = known.map(|system| system.own);
+        let done = parallel::map(&chunks, parallel::cores(), |chunk| {
+            let mut job = self.job(fitted, values)?;
+            let of = |k: &usize| {
+                let known = known.as_ref().map(|own| own[*k].beside.clone());
+                self.eliminate(&mut job, &steps[*k], &nuisances[*k], known)
+            };
+            chunk.iter().map(of).collect::<Option<Vec<_>>>()
+        });
+        let size = if fitted.moving { values.len() } else { 0 };
+        let mut system =
+            System { normal: DMatrix::zeros(size, size), gradient: DVector::zeros(size), own: Vec::new() };
+        for chunk in done {
+            for (information, own) in chunk? {
+                system.normal += information;
+                system.own.push(own);
+            }
+        }
+        self.aim(&mut system, nuisances, steps);
+        Some(system)
+    }
+
+    /// What slopes are taken with: the model with each of its values moved, and as it is.
+    fn job<'b>(&self, fitted: &Fitted<'_>, values: &'b [f64]) -> Option<Job<'b>> {
         let own_numbers = values.len() - COMMON;
+        let mut moved = Vec::new();
         for j in 0..if fitted.moving { own_numbers } else { 0 } {
             let (free, mut at) = (&fitted.free[j], values.to_vec());
             let mut h = 1e-3 * free.scale;
@@ -233,28 +257,29 @@ impl<'a> Measured<'a> {
                 None => Moved { specimens: self.specimens(&fitted.spec)?, h },
             });
         }
-        let job = Job { values, moving: fitted.moving, own: self.specimens(&fitted.spec)?.into() };
-        let size = if fitted.moving { values.len() } else { 0 };
-        let mut system =
-            System { normal: DMatrix::zeros(size, size), gradient: DVector::zeros(size), own: Vec::new() };
-        let mut known = known.map(|system| system.own.into_iter().map(|own| own.beside));
-        for (step, own) in steps.iter().zip(nuisances) {
-            let known = known.as_mut().and_then(Iterator::next);
-            let (along, beside) = self.columns(&job, &mut moved, step, own, known);
-            let precision = self.precision(step.window);
-            let weight = self.weight(step, own, &precision);
-            let gram = |a: &[Vec<f64>], b: &[Vec<f64>]| {
-                DMatrix::from_fn(a.len(), b.len(), |i, j| weight * dot(&a[i], &b[j]))
-            };
-            let inner = gram(&beside, &beside) + weight * &precision;
-            let inverse = inner.cholesky()?.inverse();
-            let mixed = gram(&along, &beside);
-            system.normal += gram(&along, &along) - &mixed * &inverse * mixed.transpose();
-            let pull = DVector::zeros(own.len());
-            system.own.push(Eliminated { along, beside, weight, precision, mixed, inverse, pull });
-        }
-        self.aim(&mut system, nuisances, steps);
-        Some(system)
+        Some(Job { values, moving: fitted.moving, moved, own: self.specimens(&fitted.spec)? })
+    }
+
+    /// A step's information on the values that move, its nuisances eliminated, and what is needed to find those again.
+    fn eliminate(
+        &self,
+        job: &mut Job<'_>,
+        step: &Step<'_>,
+        own: &[f64],
+        known: Option<Arc<Vec<Vec<f64>>>>,
+    ) -> Option<(DMatrix<f64>, Eliminated)> {
+        let (along, beside) = self.columns(job, step, own, known);
+        let precision = self.precision(step.window);
+        let weight = self.weight(step, own, &precision);
+        let gram = |a: &[Vec<f64>], b: &[Vec<f64>]| {
+            DMatrix::from_fn(a.len(), b.len(), |i, j| weight * dot(&a[i], &b[j]))
+        };
+        let inner = gram(&beside, &beside) + weight * &precision;
+        let inverse = inner.cholesky()?.inverse();
+        let mixed = gram(&along, &beside);
+        let information = gram(&along, &along) - &mixed * &inverse * mixed.transpose();
+        let pull = DVector::zeros(own.len());
+        Some((information, Eliminated { along, beside, weight, precision, mixed, inverse, pull }))
     }
 
     /// A step's slope of the cost by its sum of squares.
@@ -341,7 +366,8 @@ pub(super) struct Fitted<'b> {
 struct Job<'b> {
     values: &'b [f64],
     moving: bool,
-    own: RefCell<Specimens>,
+    moved: Vec<Moved>,
+    own: Specimens,
 }
 
 struct Moved {
@@ -360,7 +386,7 @@ pub(super) struct System {
 pub(super) struct Eliminated {
     /// Slopes of its residuals along the values, and along its nuisances.
     pub(super) along: Vec<Vec<f64>>,
-    pub(super) beside: Vec<Vec<f64>>,
+    pub(super) beside: Arc<Vec<Vec<f64>>>,
     pub(super) weight: f64,
     precision: DMatrix<f64>,
     pub(super) mixed: DMatrix<f64>,

@@ -25,6 +25,7 @@ use super::problem::{DRIFT, DRIFT_MEMORY, Part};
 use super::refit::{with_zero, zero_sigma_m};
 use super::together::Source;
 use crate::model::{self, EffectSpec, ModelSpec, Specimen, effects};
+use crate::parallel;
 use nalgebra::{DMatrix, DVector};
 use std::sync::{Arc, OnceLock};
 
@@ -53,6 +54,8 @@ const HUBER: f64 = 6.0;
 /// A change of a residual by less than this, in units of the noise, within the small difference of a slope is no jump that went
 /// over a sample.
 const OVER: f64 = 1.0;
+/// Steps that one core simulates before it takes others.
+const TOGETHER: usize = 4;
 
 /// The measured response.
 #[derive(Clone)]
@@ -374,23 +377,40 @@ impl<'a> Measured<'a> {
         nuisances: &[Nuisances],
     ) -> Option<(f64, Vec<Step<'a>>)> {
         let common = &values[values.len() - COMMON..];
-        let mut specimens = self.specimens(spec)?;
+        let each: Vec<(&usize, &Nuisances)> = self.windows(part).iter().zip(nuisances).collect();
+        let chunks: Vec<_> = each.chunks(TOGETHER).collect();
+        let done = parallel::map(&chunks, parallel::cores(), |chunk| {
+            let mut specimens = self.specimens(spec)?;
+            let laid = chunk.iter().map(|(k, own)| self.lay_one(&mut specimens, **k, common, own));
+            laid.collect::<Option<Vec<_>>>()
+        });
         let mut cost = 0.0;
         let mut steps = Vec::with_capacity(nuisances.len());
-        for (k, own) in self.windows(part).iter().zip(nuisances) {
-            let window = &self.motion.windows[*k];
-            let simulated = self.simulate(&mut specimens, window, common[0], own);
-            let residuals = self.residuals(window, &simulated, common, own);
-            let chi2 = dot(&residuals, &residuals);
-            if !chi2.is_finite() {
-                return None;
+        for chunk in done {
+            for (of_step, step) in chunk? {
+                cost += of_step;
+                steps.push(step);
             }
-            let own = DVector::from_column_slice(own);
-            let prior = (&own.transpose() * self.precision(window) * &own)[(0, 0)];
-            cost += robust(chi2 + prior, self.count(window)).0;
-            steps.push(Step { window, residuals, simulated });
         }
         Some((cost, steps))
+    }
+
+    /// One step's share of the cost, and the step.
+    fn lay_one(
+        &self,
+        specimens: &mut Specimens,
+        k: usize,
+        common: &[f64],
+        own: &[f64],
+    ) -> Option<(f64, Step<'a>)> {
+        let window = &self.motion.windows[k];
+        let simulated = self.simulate(specimens, window, common[0], own);
+        let residuals = self.residuals(window, &simulated, common, own);
+        let chi2 = dot(&residuals, &residuals);
+        let own = DVector::from_column_slice(own);
+        let prior = (&own.transpose() * self.precision(window) * &own)[(0, 0)];
+        let cost = robust(chi2 + prior, self.count(window)).0;
+        chi2.is_finite().then_some((cost, Step { window, residuals, simulated }))
     }
 
     fn specimens(&self, spec: &ModelSpec) -> Option<Specimens> {

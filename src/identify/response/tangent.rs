@@ -11,6 +11,8 @@ use nalgebra::{DMatrix, DVector};
 
 /// So many samples tell enough for first order.
 const TOLD: usize = 70_000;
+/// Every so many of the steps tell how large a change is.
+const GLANCE: usize = 4;
 
 /// The response about a fitted model, linearised: what a further effect would bring, to first order.
 pub struct Tangent<'b, 'a> {
@@ -121,6 +123,24 @@ impl Tangent<'_, '_> {
     /// and where it shifts contacts it is not of first order at all.
     pub fn score_again(&self, with: &ModelSpec, score: &Score) -> Option<Score> {
         self.project(with, Some(score))
+    }
+
+    /// Change that an effect as given makes, as [`Score::change`], by some of the steps.
+    pub fn change(&self, with: &ModelSpec) -> Option<f64> {
+        let measured = &self.measured;
+        let common = &self.laid.values[self.laid.values.len() - COMMON..];
+        let misfits = &self.misfits[usize::from(!is_piecewise_linear(with))];
+        let mut specimens = measured.specimens(with)?;
+        let (mut power, mut count) = (0.0, 0usize);
+        for k in (0..self.steps.len()).step_by(GLANCE) {
+            let (step, nuisances) = (&self.steps[k], &self.laid.nuisances[k]);
+            let simulated = measured.simulate(&mut specimens, step.window, common[0], nuisances);
+            let misfit = measured.misfit(step.window, &simulated, common, nuisances);
+            let square: f64 = misfit.iter().zip(&misfits[k]).map(|(c, r)| (c - r).powi(2)).sum();
+            power += self.own[k].weight * square;
+            count += misfit.len();
+        }
+        power.is_finite().then(|| (power / count.max(1) as f64).sqrt())
     }
 
     fn project(&self, with: &ModelSpec, moved: Option<&Score>) -> Option<Score> {

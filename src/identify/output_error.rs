@@ -1,0 +1,44 @@
+//! Errors of a response in its own units, summed over samples.
+
+/// Noise-weighted errors of a simulated response.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct OutputError {
+    /// Sum of squared errors of A, (m/s2)^2.
+    pub sum_a: f64,
+    /// Sum of squares of the measured A, (m/s2)^2.
+    pub power_a: f64,
+    /// Sum of squared errors of D, m^2.
+    pub sum_d: f64,
+    /// Sum of squares of the measured D about its mean, m^2.
+    pub power_d: f64,
+    /// Samples.
+    pub count: usize,
+}
+
+impl OutputError {
+    /// The sum of two.
+    pub(super) fn with(self, other: &Self) -> Self {
+        Self {
+            sum_a: self.sum_a + other.sum_a,
+            power_a: self.power_a + other.power_a,
+            sum_d: self.sum_d + other.sum_d,
+            power_d: self.power_d + other.power_d,
+            count: self.count + other.count,
+        }
+    }
+
+    /// Both errors are finite.
+    pub fn is_finite(&self) -> bool {
+        self.sum_a.is_finite() && self.sum_d.is_finite()
+    }
+
+    /// Normalised RMS error of A.
+    pub fn nrmse_a(&self) -> f64 {
+        (self.sum_a / self.power_a.max(1e-300)).sqrt()
+    }
+
+    /// Normalised RMS error of D.
+    pub fn nrmse_d(&self) -> f64 {
+        (self.sum_d / self.power_d.max(1e-300)).sqrt()
+    }
+}
