@@ -35,6 +35,10 @@ const MERGED: f64 = 20.0;
 /// What is behind the best by so many nats after a short fit gets no long one; a candidate a few rounds more, to be refused by name.
 const HOPELESS: f64 = 150.0;
 const FEW_ROUNDS: usize = 2;
+/// Deviations of its prior that a number of the model is from where it was given when it makes up for something; and the share of
+/// its prior's width that it is then left.
+const ASTRAY: f64 = 5.0;
+const HELD: f64 = 0.01;
 /// How a fit goes on.
 const FURTHER_ON: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
 /// Stribeck velocities that are tried beside Coulomb's friction, over the typical velocity; how much more than it breakaway takes; and
@@ -60,6 +64,32 @@ impl Searcher<'_> {
             trial.response.as_ref().map_or(f64::INFINITY, |r| r.training.cost + r.training.prior)
         };
         (cost(base) - cost(&again) > 2.0 * BETTER).then_some(again)
+    }
+
+    /// A fitted model in which numbers of its own went far from what they were given to make up for what is missing, fitted again with
+    /// those held where they were given: a missing effect may show only from there, and its fit then frees them.
+    pub(super) fn brought_back(&self, from: &Trial) -> Option<Trial> {
+        let measured = self.measured.as_ref().filter(|_| from.response.is_some())?;
+        let (mut held, mut spec) = (from.refit.numbers.clone(), from.refit.spec.clone());
+        held.start_from(&spec);
+        let mut astray = false;
+        for (number, free) in held.numbers.iter().zip(&mut held.free) {
+            let (mean, sigma) = free.prior;
+            if !number.key.starts_with("effect[") && (free.start - mean).abs() > ASTRAY * sigma {
+                spec.set(&number.key, mean).ok()?;
+                free.prior = (mean, HELD * sigma);
+                astray = true;
+            }
+        }
+        if !astray {
+            return None;
+        }
+        let free_again = from.refit.numbers.clone();
+        let start = Trial { refit: Refit { spec, numbers: held, ..from.refit.clone() }, ..from.clone() };
+        let settings = Settings { iterations: 8, ..Settings::default() };
+        let mut back = trial::respond(measured, &start, None, settings)?;
+        back.refit.numbers = free_again;
+        Some(back)
     }
 
     /// An effect that contains the one before it (Stribeck's friction and Coulomb's) may do alone.
@@ -92,7 +122,12 @@ impl Searcher<'_> {
         let scales = candidates::scales(spec, self.motion);
         let mut effects = candidates::physical(spec, self.motion.kind);
         effects.retain(|effect| effect.name != *one);
-        stage.finalists.extend(self.by_response(measured, &second, &[], &effects, &scales));
+        // Without the first, much is left: the force sorts out.
+        let far = second.response.as_ref().is_some_and(is_far);
+        let settled = if far { self.settled(&second) } else { None };
+        let mut by_force = settled.map_or(Vec::new(), |settled| self.screen(&settled, &effects, &scales));
+        by_force.truncate(SCORED);
+        stage.finalists.extend(self.by_response(measured, &second, &by_force, &effects, &scales));
         best_first(&mut stage.finalists, base);
     }
 

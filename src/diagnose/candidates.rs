@@ -177,7 +177,8 @@ pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
     if let ("hertz-contact", Some(p)) = (effect.name, scales.penetration_m) {
         // Exponents near the linear bumper's, with its force at the usual penetration.
         let linear = scales.contact_stiffness_n_m();
-        out.extend([1.1, 1.5, 2.0].map(|n: f64| {
+        out.clear();
+        out.extend([1.1, 1.5, 2.0, 2.7].map(|n: f64| {
             let mut spec = effect.starting_spec(scales);
             spec.parameters.insert("kh".to_owned(), linear * p.powf(1.0 - n));
             spec.parameters.insert("n".to_owned(), n);

@@ -49,6 +49,8 @@ const PROMISING: f64 = 3.0;
 const UNSEEN: f64 = 0.9;
 /// Starts of an effect that the force sorts out where the response does so, too.
 const FEW: usize = 5;
+/// So many effects go on from there.
+const GOING_ON: usize = 10;
 /// So many finalists are simulated at most, those within so many nats of the best.
 const SIMULATED: usize = 3;
 const CLOSE: f64 = 50.0;
@@ -60,6 +62,8 @@ pub struct Stage {
     pub finalists: Vec<Trial>,
     /// Names of those that did not pass the screening, with the share of the excess they left.
     pub screened: Vec<(String, f64)>,
+    /// What the force sorted out, best first; nothing where it was not asked.
+    by_force: Vec<(&'static str, Refit)>,
 }
 
 /// A finished search.
@@ -89,7 +93,9 @@ impl<'a> Searcher<'a> {
     /// merely off puts them beside the contacts.
     pub fn new(motion: &'a Motion, nominal: &ModelSpec, effort: Effort) -> Self {
         let total: usize = motion.windows.iter().map(|w| w.range.len()).sum();
-        let mut screening = Problem::of_some(motion, nominal, effort.screening_samples);
+        let measured = Measured::new(motion);
+        let enough = effort.screening_samples / if measured.is_some() { 2 } else { 1 };
+        let mut screening = Problem::of_some(motion, nominal, enough);
         let mut fitting = Problem::new(motion, nominal, effort.fitting_samples);
         let mut fitted: Option<Refit> = None;
         // A component on its own has no contact to be beside of, and its given model may promise next to nothing.
@@ -111,7 +117,7 @@ impl<'a> Searcher<'a> {
             }
         }
         let stride = total.div_ceil(effort.output_samples.max(1)).max(1);
-        Self { motion, effort, screening, fitting, fitted, stride, measured: Measured::new(motion) }
+        Self { motion, effort, screening, fitting, fitted, stride, measured }
     }
 
     /// The problem with the finer thinning.
@@ -184,18 +190,26 @@ impl<'a> Searcher<'a> {
 
     /// Tries every candidate on top of a fitted model.
     pub fn stage(&self, from: &Trial) -> Stage {
+        self.stage_again(from, Vec::new())
+    }
+
+    /// The same where the force has sorted out before: its fits do not depend on where the model's own numbers start.
+    fn stage_again(&self, from: &Trial, known: Vec<(&'static str, Refit)>) -> Stage {
         let scales = candidates::scales(&from.refit.spec, self.motion);
         let effects = candidates::physical(&from.refit.spec, self.motion.kind);
-        let settled = Settings { iterations: 4, ..Settings::default() };
-        let Some(base) = trial::polish(&self.screening, &from.refit, Domain::Force, settled) else {
-            return Stage { finalists: Vec::new(), screened: Vec::new() };
+        let Some(base) = self.settled(from) else {
+            return Stage { finalists: Vec::new(), screened: Vec::new(), by_force: known };
         };
         let near = from.response.as_ref().is_some_and(|response| !is_far(response));
-        let mut best = if near { Vec::new() } else { self.screen(&base, &effects, &scales) };
+        let mut best = match (near, known.is_empty()) {
+            (true, _) => Vec::new(),
+            (false, true) => self.screen(&base, &effects, &scales),
+            (false, false) => known,
+        };
+        let by_force = best.clone();
         let reference = trial::objective(&base).max(1e-300);
         let floor = (self.screening.weighted_count(Part::Training) as f64).min(reference);
         let share = |objective: f64| (objective - floor) / (reference - floor).max(1e-9 * reference);
-        best.sort_by(|a, b| trial::objective(&a.1).total_cmp(&trial::objective(&b.1)));
         // The best goes on, and who comes near it. A second always does where the best brings
         // anything, to be refused by name.
         let near = best.first().map_or(0.0, |(_, refit)| share(trial::objective(refit))) + NEAR;
@@ -226,12 +240,18 @@ impl<'a> Searcher<'a> {
         let screened =
             screened.into_iter().filter(|(name, _)| finalists.iter().all(|t| verdict::last_name(t) != *name));
         let screened = screened.collect();
-        Stage { finalists, screened }
+        Stage { finalists, screened, by_force }
     }
 
-    /// The best fit of every effect on the thinned record: all starts take two steps, the best two
+    /// A fitted model, settled where the force on the thinned record has it.
+    pub(super) fn settled(&self, trial: &Trial) -> Option<Refit> {
+        let settled = Settings { iterations: 4, ..Settings::default() };
+        trial::polish(&self.screening, &trial.refit, Domain::Force, settled)
+    }
+
+    /// The best fit of every effect on the thinned record, best first: all starts take two steps, the best two
     /// of an effect go on.
-    fn screen(
+    pub(super) fn screen(
         &self,
         base: &Refit,
         effects: &[&'static Effect],
@@ -241,8 +261,13 @@ impl<'a> Searcher<'a> {
         let then = Settings { iterations: 8, tolerance: 1e-5, ..Settings::default() };
         // Where there is a response, it sorts the others out.
         let most = if self.measured.is_some() { FEW } else { usize::MAX };
+        // A springpot's many states beside a joint that opens and closes take a minute.
+        let joint = base.spec.effects.iter().any(|effect| effect.name == "backlash");
+        let quick =
+            |e: &&&'static Effect| !(joint && e.name == "fractional-damping" && self.measured.is_some());
         let work: Vec<(&'static str, EffectSpec)> = effects
             .iter()
+            .filter(quick)
             .flat_map(|e| candidates::starts(e, scales).into_iter().take(most).map(|s| (e.name, s)))
             .collect();
         let tried = parallel::map(&work, parallel::cores(), |(name, start)| {
@@ -252,9 +277,13 @@ impl<'a> Searcher<'a> {
         tried.sort_by(|a, b| trial::objective(&a.1).total_cmp(&trial::objective(&b.1)));
         let mut seen: Vec<&str> = Vec::new();
         tried.retain(|(name, _)| {
+            let first = !seen.contains(name);
             seen.push(name);
-            seen.iter().filter(|n| *n == name).count() <= 2
+            seen.iter().filter(|n| *n == name).count() <= 2 && (first || self.measured.is_none())
         });
+        if self.measured.is_some() {
+            tried.truncate(GOING_ON);
+        }
         let fitted = parallel::map(&tried, parallel::cores(), |(name, refit)| {
             trial::polish(&self.screening, refit, Domain::Force, then).map(|refit| (*name, refit))
         });
@@ -266,6 +295,7 @@ impl<'a> Searcher<'a> {
                 None => best.push((name, refit)),
             }
         }
+        best.sort_by(|a, b| trial::objective(&a.1).total_cmp(&trial::objective(&b.1)));
         best
     }
 
@@ -353,8 +383,18 @@ impl<'a> Searcher<'a> {
             }
             let mut stage = self.stage(&from);
             if let (0, Some(base)) = (depth, self.better_base(&stage, &from)) {
-                stage = self.stage(&base);
+                stage = self.stage_again(&base, stage.by_force);
                 (search.base, from) = (base.clone(), base);
+            }
+            if let Some(back) = self.brought_back(&from) {
+                stage.finalists.extend(self.stage_again(&back, stage.by_force.clone()).finalists);
+                best_first(&mut stage.finalists, &from);
+                let mut seen: Vec<Vec<String>> = Vec::new();
+                stage.finalists.retain(|trial| {
+                    let new = !seen.contains(&trial.names);
+                    seen.push(trial.names.clone());
+                    new
+                });
             }
             // A pair may also grow from the second best: greedy search alone can start wrong. Where the response decides, the first of
             // a pair is exchanged below.

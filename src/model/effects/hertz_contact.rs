@@ -3,6 +3,10 @@
 use super::{Effect, Parameter, Place};
 use crate::model::ModelError;
 
+/// Exponents that are sought.
+const LEAST: f64 = 1.05;
+const MOST: f64 = 3.0;
+
 /// `hertz-contact`.
 pub static EFFECT: Effect = Effect {
     name: "hertz-contact",
@@ -15,19 +19,20 @@ pub static EFFECT: Effect = Effect {
     experiment: "impacts at several A_G; static squeeze",
     piecewise_linear: false,
     parameters: |s| {
+        // The same stiffness at the usual depth is another coefficient with another exponent: by orders of magnitude.
+        let as_stiff = |n: f64| s.contact_stiffness_n_m() * s.contact_depth_m().powf(1.0 - n);
+        let (low, high) = (as_stiff(LEAST).min(as_stiff(MOST)), as_stiff(LEAST).max(as_stiff(MOST)));
         vec![
-            Parameter::not_negative(
+            Parameter::positive(
                 "kh",
                 "N/m^n",
                 "stiffness coefficient",
-                (
-                    0.05 * s.contact_stiffness_n_m() * s.contact_depth_m().powf(-0.5),
-                    20.0 * s.contact_stiffness_n_m() * s.contact_depth_m().powf(-0.5),
-                ),
-                s.contact_stiffness_n_m() * s.contact_depth_m().powf(-0.5),
+                (0.5 * low, 2.0 * high),
+                as_stiff(1.5),
             ),
-            Parameter::positive("n", "1", "exponent, 1.5 for spheres", (1.05, 3.0), 1.5)
+            Parameter::positive("n", "1", "exponent, 1.5 for spheres", (LEAST, MOST), 1.5)
                 .linear()
+                .at_least(1.0)
                 .at_most(10.0),
         ]
     },
