@@ -36,7 +36,6 @@ pub fn contained_in(name: &str) -> &'static [&'static str] {
         "stribeck-friction" => &["coulomb-friction"],
         "iwan-hysteresis" => &["coulomb-friction"],
         "bouc-wen-hysteresis" => &["coulomb-friction"],
-        "hertz-contact" => &["bumper-stiffening"],
         "stand-compliance" => &["bumper-preload"],
         _ => &[],
     }

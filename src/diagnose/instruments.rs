@@ -1,8 +1,8 @@
 //! Instruments before physics: which instrument effects a record shows beyond their tolerance.
 
-use crate::identify::kinematics::{Estimate, Instruments, Tolerances};
-use crate::identify::spectral::Spectrum;
+use crate::identify::kinematics::{Estimate, HANN_MEAN_SQUARE, Instruments, Tolerances, tapered};
 use crate::record::Record;
+use realfft::num_complex::Complex64;
 use serde::Serialize;
 
 /// An instrument off by more than its tolerance.
@@ -104,6 +104,10 @@ fn finding(name: &str, parameter: &str, unit: &str, estimate: Estimate, text: &s
     }
 }
 
+/// Variance of a coefficient told by tapered spectra over that by plain ones: mean fourth power of a Hann window over the square of
+/// its mean square.
+const HANN_SHARED: f64 = 35.0 / 18.0;
+
 /// A rotational mode shows in the difference of the accelerometers as a resonance: the ratio of
 /// the difference to the mean changes with frequency as `w^2/(w0^2 - w^2 + 2 i zeta w0 w)` does,
 /// while a gain or a leak keeps it (or its share of the table's) constant.
@@ -116,10 +120,12 @@ fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Finding> {
     let pair = || record.mass_acceleration_1_m_s2.iter().zip(&record.mass_acceleration_2_m_s2);
     let difference: Vec<f64> = pair().map(|(a, b)| 0.5 * (a - b)).collect();
     let mean: Vec<f64> = pair().map(|(a, b)| 0.5 * (a + b)).collect();
-    let difference = Spectrum::of(&difference, rate);
-    let mean = Spectrum::of(&mean, rate);
-    let table = Spectrum::of(&record.table_acceleration_m_s2, rate);
-    let per_bin = 0.25 * (noise[0].powi(2) + noise[1].powi(2)) * difference.bins.len() as f64 * 2.0;
+    // Tapered: what one noisy sample at an end stands for beyond it would be several times the noise at low frequencies.
+    let difference = tapered(&difference, rate);
+    let mean = tapered(&mean, rate);
+    let table = tapered(&record.table_acceleration_m_s2, rate);
+    let of_difference = 0.25 * (noise[0].powi(2) + noise[1].powi(2)) * HANN_MEAN_SQUARE;
+    let per_bin = of_difference * n as f64;
     // Bins with signal in the mean: the response there is known.
     let bins: Vec<usize> = difference
         .band(0.05, 0.3 * rate)
@@ -134,7 +140,6 @@ fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Finding> {
     // Plain: difference = g mean + l table (real constants). Yaw adds c H(w) mean.
     let fit = |mode: Option<(f64, f64)>| -> (f64, [f64; 3]) {
         use nalgebra::{Matrix3, Vector3};
-        use realfft::num_complex::Complex64;
         let mut normal = Matrix3::<f64>::zeros();
         let mut right = Vector3::<f64>::zeros();
         let mut power = 0.0;
@@ -196,10 +201,29 @@ fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Finding> {
     if (left - floor).max(0.0) > 0.3 * (plain - floor) {
         return None;
     }
+    // Slopes along gain, leak, mode and the logarithms of its frequency and damping. Below a resonance the last three go together.
+    let mut information = nalgebra::SMatrix::<f64, 5, 5>::zeros();
+    for &b in &bins {
+        let w = difference.omega_rad_s(b);
+        let below = Complex64::new(w0 * w0 - w * w, 2.0 * zeta * w0 * w);
+        let h = Complex64::from(w * w) / below;
+        let along_w0 = -h * Complex64::new(2.0 * w0 * w0, 2.0 * zeta * w0 * w) / below;
+        let along_zeta = -h * Complex64::new(0.0, 2.0 * zeta * w0 * w) / below;
+        let of_mean = [Complex64::ONE, Complex64::ZERO, h, x[2] * along_w0, x[2] * along_zeta];
+        let mut slopes = of_mean.map(|of_mean| of_mean * mean.bins[b]);
+        slopes[1] = table.bins[b];
+        for i in 0..5 {
+            for j in 0..5 {
+                information[(i, j)] += (slopes[i].conj() * slopes[j]).re;
+            }
+        }
+    }
+    // A bin's noise lies half in its real part; tapering has neighbouring bins share theirs.
+    let noise = 0.5 * HANN_SHARED * left / bins.len() as f64;
+    let covariance = information.try_inverse()?;
+    let sigma = |i: usize| (covariance[(i, i)].max(0.0) * noise).sqrt();
     // A1 - A2 = 2 y'', y'' = H(w) (3 e / L) A with L = 0.5 m half the spacing.
     let half_spacing_m = 0.5;
-    let count = bins.len() as f64;
-    let relative = (left / (plain - left).max(1e-300) / count).sqrt().max(1e-4);
     let around = |value: f64, sigma: f64| Estimate95 {
         value,
         low95: value - 1.96 * sigma,
@@ -210,9 +234,9 @@ fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Finding> {
     Some(Finding {
         name: "yaw-rotation".to_owned(),
         parameters: vec![
-            ("e_m".to_owned(), around(e_m, 2.0 * relative * e_m.abs()), "m".to_owned()),
-            ("f_hz".to_owned(), around(f_hz, relative * f_hz), "Hz".to_owned()),
-            ("zeta".to_owned(), around(zeta, relative), "1".to_owned()),
+            ("e_m".to_owned(), around(e_m, sigma(2) * half_spacing_m / 3.0), "m".to_owned()),
+            ("f_hz".to_owned(), around(f_hz, sigma(3) * f_hz), "Hz".to_owned()),
+            ("zeta".to_owned(), around(zeta, sigma(4) * zeta), "1".to_owned()),
         ],
         text: "the accelerometers on the mass differ as a rotational mode does".to_owned(),
     })

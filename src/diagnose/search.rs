@@ -389,12 +389,6 @@ impl<'a> Searcher<'a> {
             if let Some(back) = self.brought_back(&from) {
                 stage.finalists.extend(self.stage_again(&back, stage.by_force.clone()).finalists);
                 best_first(&mut stage.finalists, &from);
-                let mut seen: Vec<Vec<String>> = Vec::new();
-                stage.finalists.retain(|trial| {
-                    let new = !seen.contains(&trial.names);
-                    seen.push(trial.names.clone());
-                    new
-                });
             }
             // A pair may also grow from the second best: greedy search alone can start wrong. Where the response decides, the first of
             // a pair is exchanged below.
@@ -453,9 +447,17 @@ fn reached(problem: &Problem<'_>, nominal: &ModelSpec, fit: Refit) -> Refit {
     best
 }
 
-/// By what they bring on top of another trial.
-pub(super) fn best_first(trials: &mut [Trial], from: &Trial) {
+/// By what they bring on top of another trial, the best one alone of those with the same effects.
+pub(super) fn best_first(trials: &mut Vec<Trial>, from: &Trial) {
     trials.sort_by(|a, b| verdict::apart(b, from).total_cmp(&verdict::apart(a, from)));
+    let mut seen: Vec<Vec<String>> = Vec::with_capacity(trials.len());
+    trials.retain(|trial| {
+        let mut effects = trial.names.clone();
+        effects.sort();
+        let new = !seen.contains(&effects);
+        seen.push(effects);
+        new
+    });
 }
 
 impl Search {

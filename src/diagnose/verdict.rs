@@ -235,16 +235,22 @@ fn by_response(
     }
 }
 
+/// What is asked of all steps together, so many times.
+const FAR_MORE: f64 = 2.0;
+
 /// Of what was named on records with a known truth, so much was there, however sure the likelihood was (docs/diagnose.md).
 pub const EXPERIENCE: f64 = 0.97;
 
 /// Whether a trial brings more than chance on the held-out steps and on those of the fit: a gain on either alone may be one
-/// lucky step. Where the simulated response decides, its residuals are white and both count together.
+/// lucky step. Where the simulated response decides, its residuals are white and both count together: what brings far more than
+/// chance there may bring little on the held-out steps alone.
 pub fn brings(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
-    let (held_out, [each, _]) = (gain(trial, from), thresholds.asked(trial, from));
+    let (held_out, [each, together]) = (gain(trial, from), thresholds.asked(trial, from));
     // Where the response decides, the held-out steps have paid for the freedom already.
     let fitted = if trial.response.is_some() { trial.training_gain(from) } else { evidence(trial, from) };
-    held_out > each && fitted > each && brings_together(trial, from, thresholds)
+    let on_each = held_out > each && fitted > each;
+    let beyond_chance = trial.response.is_some() && apart(trial, from) > FAR_MORE * together;
+    (on_each || beyond_chance) && brings_together(trial, from, thresholds)
 }
 
 /// Whether it does so on all steps together, and those held out do not speak against it.

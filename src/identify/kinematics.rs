@@ -139,10 +139,10 @@ pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
 }
 
 /// Mean square of the window under which noise is measured.
-const HANN_MEAN_SQUARE: f64 = 1.5;
+pub const HANN_MEAN_SQUARE: f64 = 1.5;
 
 /// Spectrum under a Hann window, which shows where the motion is without the ends' leakage.
-fn tapered(channel: &[f64], rate: f64) -> Spectrum {
+pub fn tapered(channel: &[f64], rate: f64) -> Spectrum {
     let mean = channel.iter().sum::<f64>() / channel.len().max(1) as f64;
     let window = |i: usize| 1.0 - (std::f64::consts::TAU * i as f64 / channel.len() as f64).cos();
     let windowed: Vec<f64> = channel.iter().enumerate().map(|(i, x)| (x - mean) * window(i)).collect();
