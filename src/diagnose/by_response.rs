@@ -6,6 +6,7 @@ use super::search::{Searcher, Stage, best_first};
 use super::trial::{self, Response, Trial};
 use super::verdict;
 use crate::identify::least_squares::Settings;
+use crate::identify::numbers::Numbers;
 use crate::identify::refit::Refit;
 use crate::identify::response::{Laid, Measured, Score, Tangent};
 use crate::model::effects::Effect;
@@ -14,8 +15,11 @@ use crate::parallel;
 
 /// So many candidates that the response puts first are fitted by it.
 const SCORED: usize = 4;
-/// So many starts of an effect that has more than two numbers.
-const STARTS: usize = 2;
+/// So many starts of an effect that has more than two numbers, and of one that rings.
+const STARTS: usize = 3;
+const OF_RINGING: usize = 5;
+/// Nats behind the best within which another start of an effect is worth a fit.
+const NEARBY: f64 = 30.0;
 /// So many of those are refined.
 const REFINED: usize = 3;
 /// Every so many steps are looked at to sort them out.
@@ -169,7 +173,7 @@ impl Searcher<'_> {
             });
             first = scored.into_iter().flatten().collect();
             first.sort_by(|a, b| b.0.total_cmp(&a.0));
-            first_of_each(&mut first, STARTS, |(_, spec)| spec);
+            first_of_each(&mut first, fitted_starts, |(_, spec)| spec);
         }
         // To first order is near enough where little is left; otherwise the force has a say.
         let best = first.first().map_or(0.0, |(nats, _)| *nats);
@@ -208,11 +212,11 @@ impl Searcher<'_> {
             .collect();
         let cost = |laid: &Laid| laid.cost + laid.prior;
         tried.sort_by(|a, b| cost(&a.2).total_cmp(&cost(&b.2)));
-        first_of_each(&mut tried, 1, |(spec, _, _)| spec);
+        let mut others = first_of_each(&mut tried, |_| 1, |(spec, _, _)| spec);
         tried.truncate(REFINED);
         // Each step's start anew: what the model before had there holds the gap where it was.
         let least = tried.first().map_or(0.0, |(_, _, laid)| cost(laid));
-        let fitted = parallel::map(&tried, parallel::cores(), |(spec, _, short)| {
+        let arrived = |(spec, _, short): &(ModelSpec, Numbers, Laid)| {
             let behind = 0.5 * HALF as f64 * (cost(short) - least) / response.colour().max(1.0);
             let rounds = if behind > HOPELESS { FEW_ROUNDS } else { long.iterations };
             let (spec, numbers, laid) = fit(measured, spec, Settings { iterations: rounds, ..long })?;
@@ -220,8 +224,17 @@ impl Searcher<'_> {
             names.push(spec.effects.last()?.name.clone());
             let refit = Refit { spec, ..from.refit.clone() };
             trial::judge_response(measured, &Trial { names, refit, ..from.clone() }, numbers, laid)
-        });
-        let mut finalists: Vec<Trial> = fitted.into_iter().flatten().collect();
+        };
+        let mut finalists: Vec<Trial> =
+            parallel::map(&tried, parallel::cores(), arrived).into_iter().flatten().collect();
+        best_first(&mut finalists, from);
+        // The other starts of the best, and of those that come near it: a likelihood with several summits.
+        let near = |name: &str| {
+            let near = |trial: &&Trial| verdict::apart(&finalists[0], trial) < NEARBY;
+            finalists.iter().filter(near).any(|trial| verdict::last_name(trial) == name)
+        };
+        others.retain(|(spec, _, _)| spec.effects.last().is_some_and(|effect| near(&effect.name)));
+        finalists.extend(parallel::map(&others, parallel::cores(), arrived).into_iter().flatten());
         best_first(&mut finalists, from);
         // A way from far off takes longer.
         if let Some(best) = finalists.first_mut()
@@ -310,13 +323,29 @@ pub(super) fn to_first_order(
     Some((start, score))
 }
 
-/// Keeps the first so many of each effect that was added last, of one with two numbers or less the first.
-fn first_of_each<T>(sorted: &mut Vec<T>, most: usize, spec: impl Fn(&T) -> &ModelSpec) {
+/// Starts of an effect that are fitted: where there are more than two numbers, or the frequency of a ringing, the likelihood has several
+/// summits.
+fn fitted_starts(effect: &EffectSpec) -> usize {
+    match effect.parameters.len() {
+        _ if effect.name == "stand-compliance" => OF_RINGING,
+        0..=2 => 1,
+        _ => STARTS,
+    }
+}
+
+/// Keeps the first so many of each effect that was added last; what is left over.
+fn first_of_each<T>(
+    sorted: &mut Vec<T>,
+    most: impl Fn(&EffectSpec) -> usize,
+    spec: impl Fn(&T) -> &ModelSpec,
+) -> Vec<T> {
     let mut seen: Vec<String> = Vec::new();
-    sorted.retain(|item| {
+    let (kept, left) = std::mem::take(sorted).into_iter().partition(|item| {
         let Some(last) = spec(item).effects.last() else { return false };
         let before = seen.iter().filter(|name| **name == last.name).count();
         seen.push(last.name.clone());
-        before < if last.parameters.len() > 2 { most } else { 1 }
+        before < most(last)
     });
+    *sorted = kept;
+    left
 }
