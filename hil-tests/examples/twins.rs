@@ -11,21 +11,13 @@ use rand_pcg::Pcg64;
 use shaketable::diagnose::next_test::{self, Reach, SweepProposal};
 use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose_together};
 
-/// Effects that another one looks like on a single record.
-const TWINS: [&str; 10] = [
-    "maxwell-branch",
-    "fractional-damping",
-    "coulomb-friction",
-    "stribeck-friction",
-    "bouc-wen-hysteresis",
-    "iwan-hysteresis",
-    "hertz-contact",
-    "bumper-stiffening",
-    "constant-force",
-    "gap-asymmetry",
-];
 /// Tests that are added at most.
 const ADDED: usize = 2;
+
+/// Effects that another one looks like on a single record.
+fn twins() -> Vec<&'static str> {
+    hidden::TWINS.concat()
+}
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (mut seeds, mut size, mut only) = (0..20u64, 0.02, None);
@@ -33,14 +25,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         match word {
             "--seeds" => seeds = arguments::seeds(&value)?,
             "--size" => size = value.parse()?,
-            "--only" => only = TWINS.iter().copied().find(|name| *name == value),
+            "--only" => {
+                let twin = twins().into_iter().find(|name| *name == value);
+                only = Some(twin.ok_or_else(|| format!("{value} is none of {}", twins().join(", ")))?);
+            }
             _ => return Ok(false),
         }
         Ok(true)
     })?;
     let (mut cases, mut ambiguous, mut proposed, mut random) = (0, 0, 0, 0);
     for seed in seeds {
-        let effect = only.unwrap_or(TWINS[seed as usize % TWINS.len()]);
+        let effect = only.unwrap_or_else(|| twins()[seed as usize % twins().len()]);
         let recipe = Recipe { seed, effects: vec![effect], foreign: None, size, noise: 1.0 };
         let Some(case) = hidden::make(&recipe) else {
             println!("{seed}\t{effect}\tnot reached");

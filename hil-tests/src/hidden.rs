@@ -46,6 +46,25 @@ pub fn studied() -> Vec<&'static str> {
         .collect()
 }
 
+/// Effects that do much the same to a record, by twos.
+pub const TWINS: [[&str; 2]; 5] = [
+    ["coulomb-friction", "stribeck-friction"],
+    ["maxwell-branch", "fractional-damping"],
+    ["bouc-wen-hysteresis", "iwan-hysteresis"],
+    ["hertz-contact", "bumper-stiffening"],
+    ["constant-force", "gap-asymmetry"],
+];
+
+/// An effect with the one that does much the same, if there is one.
+pub fn with_twin(name: &'static str) -> Vec<&'static str> {
+    TWINS.iter().find(|twins| twins.contains(&name)).map_or(vec![name], |twins| twins.to_vec())
+}
+
+/// Those of them that are no instrument.
+pub fn of_motion() -> Vec<&'static str> {
+    studied().into_iter().filter(|name| effects::find(name).is_ok_and(|e| !e.is_instrument())).collect()
+}
+
 /// Forces that the catalogue does not have, with an amplitude `f` in N over scaled displacement `d/dm` and velocity
 /// `v/vm`: what they are, and the expression.
 pub const FOREIGN: [(&str, &str); 6] = [
@@ -59,8 +78,7 @@ pub const FOREIGN: [(&str, &str); 6] = [
 
 /// Two different physical effects from a seed.
 pub fn pair(seed: u64) -> Vec<&'static str> {
-    let physical: Vec<&'static str> =
-        studied().into_iter().filter(|n| effects::find(n).is_ok_and(|e| !e.is_instrument())).collect();
+    let physical = of_motion();
     let mut random = Pcg64::seed_from_u64(seed ^ 0x5eed);
     let first = random.random_range(0..physical.len());
     let second = (first + random.random_range(1..physical.len())) % physical.len();

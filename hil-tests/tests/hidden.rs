@@ -166,3 +166,17 @@ fn the_measured_damper_shows_memory_then_play() {
     assert!(errors.iter().all(|error| *error < 0.25), "{errors:?}");
     assert!(errors.iter().sum::<f64>() < 0.15 * errors.len() as f64, "{errors:?}");
 }
+
+#[test]
+fn an_effect_taken_out_of_the_catalogue_is_outside_it() {
+    let effects = vec!["stiffness-degradation"];
+    let recipe = Recipe { seed: 5_000_507, effects, foreign: None, size: 0.08, noise: 1.0 };
+    let case = hidden::make(&recipe).expect("the effect reaches its size");
+    let without = hidden::with_twin("stiffness-degradation");
+    let options = Options { without: without.clone(), ..Options::default() };
+    let found = diagnose_together(&[(&case.record, &case.nominal)], &options).expect("a base record");
+    assert_eq!(found.verdict, Verdict::OutsideCatalogue, "{:?}", found.effects);
+    let told =
+        |name: &&str| found.notes.iter().any(|note| note.starts_with(*name) && note.contains("not tried"));
+    assert!(without.iter().all(told), "{:?}", found.notes);
+}

@@ -4,7 +4,7 @@ use super::reading::ReadingArgs;
 use super::{CliError, Outcome};
 use crate::diagnose::live::evidence;
 use crate::diagnose::{DiagnoseError, Options, diagnose_together};
-use crate::model::ModelSpec;
+use crate::model::{ModelSpec, effects};
 use crate::record::Record;
 use crate::report::diagnosis::page;
 use std::path::PathBuf;
@@ -28,6 +28,9 @@ pub struct Args {
     /// Diagnose a record that is too short, saturated, of wrong sign or unit, ... all the same. Its faults are told as notes.
     #[arg(long)]
     anyway: bool,
+    /// Do not try this effect, of which you know that it is not there; may be given several times.
+    #[arg(long, value_name = "EFFECT", conflicts_with = "evidence")]
+    without: Vec<String>,
     /// Write a page with the error ladder, all tables and the shape of the missing force.
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
@@ -57,7 +60,9 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         return show_evidence(&records, &models, args.json);
     }
     let tests: Vec<(&Record, &ModelSpec)> = records.iter().zip(models.iter().cycle()).collect();
-    let options = Options { anyway: args.anyway, ..Options::default() };
+    let known = |name: &String| effects::find(name).map(|effect| effect.name).map_err(CliError::usage);
+    let without = args.without.iter().map(known).collect::<Result<_, _>>()?;
+    let options = Options { anyway: args.anyway, without, ..Options::default() };
     let answer = diagnose_together(&tests, &options).map_err(|error| match error {
         DiagnoseError::Unfit { .. } => CliError::failed(format!(
             "{error}; name its columns with their sign and unit (`--map`), or see what comes of it with --anyway"

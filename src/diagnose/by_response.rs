@@ -124,7 +124,7 @@ impl Searcher<'_> {
         let Some(second) = second else { return };
         let spec = &second.refit.spec;
         let scales = candidates::scales(spec, self.motion);
-        let mut effects = candidates::physical(spec, self.motion.kind);
+        let mut effects = self.candidates(spec);
         effects.retain(|effect| effect.name != *one);
         // Without the first, much is left: the force sorts out.
         let far = second.response.as_ref().is_some_and(is_far);
@@ -265,6 +265,7 @@ impl Searcher<'_> {
     /// about the model without friction does not tell.
     fn falling(&self, measured: &Measured<'_>, best: Option<&Trial>, scales: &Scales) -> Option<Trial> {
         let best = best.filter(|best| verdict::last_name(best) == "coulomb-friction")?;
+        self.candidates(&best.refit.spec).iter().find(|effect| effect.name == "stribeck-friction")?;
         let (index, laid) = (best.refit.spec.effects.len() - 1, &best.response.as_ref()?.training);
         let constant = *best.refit.spec.effects[index].parameters.get("fc_n")?;
         let tangent = measured.tangent(&best.refit.spec, &best.refit.numbers, laid)?;

@@ -18,7 +18,7 @@ use crate::record::{Kind, Record, quality};
 use std::time::Instant;
 
 /// How a diagnosis is done.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Options {
     /// Tolerances of the instruments.
     pub tolerances: Tolerances,
@@ -30,6 +30,8 @@ pub struct Options {
     pub reach: Option<(f64, f64, f64)>,
     /// Diagnose a record that is not fit for it all the same.
     pub anyway: bool,
+    /// Effects that are not tried: what the user knows not to be there.
+    pub without: Vec<&'static str>,
 }
 
 /// Why a record cannot be diagnosed.
@@ -117,7 +119,7 @@ pub fn diagnose_together(
         parts.push((motion, Setting::between(nominal, model)?));
     }
     let motion = Motion::together(parts)?;
-    let searcher = Searcher::new(&motion, nominal, options.effort);
+    let searcher = Searcher::new(&motion, nominal, options.effort).without(&options.without);
     let diverges = || DiagnoseError::Diverges { name: nominal.name.clone() };
     let search = searcher.search(nominal, options.thresholds).ok_or_else(diverges)?;
     let structure = |trial: &Trial| structure::examine(searcher.problem(), &trial.refit).unwrap_or_default();
@@ -388,6 +390,7 @@ impl Composer<'_> {
 
     /// What is to be said of the records, and then of the instruments.
     fn notes(&self, findings: &[Finding], mut notes: Vec<String>) -> Vec<String> {
+        notes.extend(self.options.without.iter().map(|name| format!("{name} was not tried, as asked for")));
         notes.extend(findings.iter().map(|f| format!("{}: {}", f.name, f.text)));
         if let Some(found) = &self.motion.instruments {
             let [a, b] = found.accelerometers;

@@ -84,6 +84,8 @@ pub struct Searcher<'a> {
     /// The nominal model fitted by force.
     fitted: Option<Refit>,
     stride: usize,
+    /// Effects that are not tried.
+    without: Vec<&'static str>,
     /// The response to lay models against, where there is one.
     pub(super) measured: Option<Measured<'a>>,
 }
@@ -117,7 +119,19 @@ impl<'a> Searcher<'a> {
             }
         }
         let stride = total.div_ceil(effort.output_samples.max(1)).max(1);
-        Self { motion, effort, screening, fitting, fitted, stride, measured }
+        Self { motion, effort, screening, fitting, fitted, stride, without: Vec::new(), measured }
+    }
+
+    /// The same with effects left untried that cannot be there.
+    pub fn without(self, names: &[&'static str]) -> Self {
+        Self { without: names.to_vec(), ..self }
+    }
+
+    /// Effects that are tried on top of a model.
+    pub(super) fn candidates(&self, spec: &ModelSpec) -> Vec<&'static Effect> {
+        let mut effects = candidates::physical(spec, self.motion.kind);
+        effects.retain(|effect| !self.without.contains(&effect.name));
+        effects
     }
 
     /// The problem with the finer thinning.
@@ -175,7 +189,7 @@ impl<'a> Searcher<'a> {
     pub fn evidence(&self, nominal: &ModelSpec) -> Option<Vec<(&'static str, f64)>> {
         let base = trial::base_by_force(&self.screening, nominal, self.fitted.as_ref())?;
         let scales = candidates::scales(&base.spec, self.motion);
-        let effects = candidates::physical(&base.spec, self.motion.kind);
+        let effects = self.candidates(&base.spec);
         let count = self.screening.weighted_count(Part::Training);
         let nats = |refit: &Refit| {
             let added = refit.fit.values.len() as f64 - base.fit.values.len() as f64;
@@ -196,7 +210,7 @@ impl<'a> Searcher<'a> {
     /// The same where the force has sorted out before: its fits do not depend on where the model's own numbers start.
     fn stage_again(&self, from: &Trial, known: Vec<(&'static str, Refit)>) -> Stage {
         let scales = candidates::scales(&from.refit.spec, self.motion);
-        let effects = candidates::physical(&from.refit.spec, self.motion.kind);
+        let effects = self.candidates(&from.refit.spec);
         let Some(base) = self.settled(from) else {
             return Stage { finalists: Vec::new(), screened: Vec::new(), by_force: known };
         };

@@ -39,8 +39,8 @@ pub struct Thresholds {
     /// Gain of log-likelihood that an effect must bring on the held-out steps and on those of the fit, each, and together (nats,
     /// coloured residuals considered): below it, chance and numerical error are explanation enough.
     pub gain: [f64; 2],
-    /// The same where the simulated response decides. In
-    /// records with nothing missing the best of all effects brings up to some 6 together.
+    /// The same where the simulated response decides, set so that records with nothing missing stay below
+    /// (docs/diagnose.md).
     pub response: [f64; 2],
     /// Nats to first order that a generic shape of force brings beside a model with nothing missing, and beside an explanation,
     /// from which on something is there that the catalogue does not have.
