@@ -400,7 +400,10 @@ impl<'a> Searcher<'a> {
                 stage = self.stage_again(&base, stage.by_force);
                 (search.base, from) = (base.clone(), base);
             }
-            if let Some(back) = self.brought_back(&from) {
+            // Where the best leaves much.
+            let far = |best: &Trial| best.response.as_ref().is_some_and(is_far);
+            let far = stage.finalists.first().is_none_or(far);
+            if far && let Some(back) = self.brought_back(&from) {
                 stage.finalists.extend(self.stage_again(&back, stage.by_force.clone()).finalists);
                 best_first(&mut stage.finalists, &from);
             }
