@@ -104,6 +104,9 @@ fn finding(name: &str, parameter: &str, unit: &str, estimate: Estimate, text: &s
     }
 }
 
+/// Steps at most, and how often one is halved.
+const GAUSS_NEWTON: usize = 30;
+const HALVED: i32 = 6;
 /// Variance of a coefficient told by tapered spectra over that by plain ones: mean fourth power of a Hann window over the square of
 /// its mean square.
 const HANN_SHARED: f64 = 35.0 / 18.0;
@@ -196,28 +199,56 @@ fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Finding> {
             }
         }
     }
+    // Slopes along gain, leak, mode and the logarithms of its frequency and damping, and what pulls along them. Below a resonance the
+    // last three go together.
+    let slopes = |(w0, zeta): (f64, f64), x: [f64; 3]| {
+        let mut information = nalgebra::SMatrix::<f64, 5, 5>::zeros();
+        let mut pull = nalgebra::SVector::<f64, 5>::zeros();
+        for &b in &bins {
+            let w = difference.omega_rad_s(b);
+            let below = Complex64::new(w0 * w0 - w * w, 2.0 * zeta * w0 * w);
+            let h = Complex64::from(w * w) / below;
+            let along_w0 = -h * Complex64::new(2.0 * w0 * w0, 2.0 * zeta * w0 * w) / below;
+            let along_zeta = -h * Complex64::new(0.0, 2.0 * zeta * w0 * w) / below;
+            let of_mean = [Complex64::ONE, Complex64::ZERO, h, x[2] * along_w0, x[2] * along_zeta];
+            let mut slopes = of_mean.map(|of_mean| of_mean * mean.bins[b]);
+            slopes[1] = table.bins[b];
+            let left = difference.bins[b] - slopes[0] * x[0] - slopes[1] * x[1] - slopes[2] * x[2];
+            for i in 0..5 {
+                pull[i] += (slopes[i].conj() * left).re;
+                for j in 0..5 {
+                    information[(i, j)] += (slopes[i].conj() * slopes[j]).re;
+                }
+            }
+        }
+        (information, pull)
+    };
+    // Frequency and damping pull on each other and on the strength: Gauss-Newton steps, halved where they lead astray.
+    for _ in 0..GAUSS_NEWTON {
+        let (information, pull) = slopes(best.1, best.2);
+        let Some(inverse) = information.try_inverse() else { break };
+        let step = inverse * pull;
+        let shortened = (0..HALVED).map(|k| 0.5_f64.powi(k)).find_map(|share| {
+            let trial = (
+                best.1.0 * (share * step[3]).clamp(-1.0, 1.0).exp(),
+                best.1.1 * (share * step[4]).clamp(-1.0, 1.0).exp(),
+            );
+            let (left, x) = fit(Some((trial.0, trial.1.min(0.9))));
+            (left < best.0).then_some((left, (trial.0, trial.1.min(0.9)), x))
+        });
+        let Some(better) = shortened else { break };
+        let settled = best.0 - better.0 < 1e-3 * per_bin;
+        best = better;
+        if settled {
+            break;
+        }
+    }
     let (left, (w0, zeta), x) = best;
     // The mode has to explain most of what a gain and a leak do not.
     if (left - floor).max(0.0) > 0.3 * (plain - floor) {
         return None;
     }
-    // Slopes along gain, leak, mode and the logarithms of its frequency and damping. Below a resonance the last three go together.
-    let mut information = nalgebra::SMatrix::<f64, 5, 5>::zeros();
-    for &b in &bins {
-        let w = difference.omega_rad_s(b);
-        let below = Complex64::new(w0 * w0 - w * w, 2.0 * zeta * w0 * w);
-        let h = Complex64::from(w * w) / below;
-        let along_w0 = -h * Complex64::new(2.0 * w0 * w0, 2.0 * zeta * w0 * w) / below;
-        let along_zeta = -h * Complex64::new(0.0, 2.0 * zeta * w0 * w) / below;
-        let of_mean = [Complex64::ONE, Complex64::ZERO, h, x[2] * along_w0, x[2] * along_zeta];
-        let mut slopes = of_mean.map(|of_mean| of_mean * mean.bins[b]);
-        slopes[1] = table.bins[b];
-        for i in 0..5 {
-            for j in 0..5 {
-                information[(i, j)] += (slopes[i].conj() * slopes[j]).re;
-            }
-        }
-    }
+    let (information, _) = slopes((w0, zeta), x);
     // A bin's noise lies half in its real part; tapering has neighbouring bins share theirs.
     let noise = 0.5 * HANN_SHARED * left / bins.len() as f64;
     let covariance = information.try_inverse()?;
