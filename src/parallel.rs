@@ -30,6 +30,21 @@ pub fn map<T: Sync, R: Send>(items: &[T], threads: usize, work: impl Fn(&T) -> R
     done.into_iter().map(|(_, result)| result).collect()
 }
 
+/// The same where a state is costly to make: so many items in turn share one. `None` when a state or a result is.
+pub fn map_with<T: Sync, S, R: Send>(
+    items: &[T],
+    together: usize,
+    state: impl Fn() -> Option<S> + Sync,
+    work: impl Fn(&mut S, &T) -> Option<R> + Sync,
+) -> Option<Vec<R>> {
+    let chunks: Vec<&[T]> = items.chunks(together.max(1)).collect();
+    let done = map(&chunks, cores(), |chunk| {
+        let mut state = state()?;
+        chunk.iter().map(|item| work(&mut state, item)).collect::<Option<Vec<R>>>()
+    });
+    Some(done.into_iter().collect::<Option<Vec<_>>>()?.into_iter().flatten().collect())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -42,5 +57,18 @@ mod tests {
             assert_eq!(map(&items, threads, |n| n * n), expected);
         }
         assert!(map(&[] as &[u64], 4, |n| *n).is_empty());
+    }
+
+    #[test]
+    fn items_that_share_a_state_do_so_in_turn_and_one_without_a_result_leaves_none() {
+        let items: Vec<u64> = (0..50).collect();
+        let count = |seen: &mut u64, n: &u64| {
+            *seen += 1;
+            Some((*n, *seen))
+        };
+        let expected: Vec<_> = items.iter().map(|n| (*n, n % 4 + 1)).collect();
+        assert_eq!(map_with(&items, 4, || Some(0), count), Some(expected));
+        assert_eq!(map_with(&items, 4, || Some(()), |(), n| (*n != 30).then_some(*n)), None);
+        assert_eq!(map_with(&items, 4, || None::<()>, |(), n| Some(*n)), None);
     }
 }

@@ -279,10 +279,10 @@ fn with_effect(
                 set("ks_n_m", start["ks_n_m"] / factor);
             }
             // As stiff as the linear bumper at the usual penetration, more and more bent.
-            ("hertz-contact", Some(p)) => {
+            ("hertz-contact", Some(_)) => {
                 let n = (1.0 + 0.3 * factor).min(3.0);
                 set("n", n);
-                set("kh", scales.contact_stiffness_n_m() * p.powf(1.0 - n));
+                set("kh", scales.contact_coefficient(n));
             }
             _ => {
                 set(leading, start[leading] * factor);

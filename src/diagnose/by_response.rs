@@ -335,7 +335,7 @@ fn fitted_starts(effect: &EffectSpec) -> usize {
 }
 
 /// Keeps the first so many of each effect that was added last; what is left over.
-fn first_of_each<T>(
+pub(super) fn first_of_each<T>(
     sorted: &mut Vec<T>,
     most: impl Fn(&EffectSpec) -> usize,
     spec: impl Fn(&T) -> &ModelSpec,

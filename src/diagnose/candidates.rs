@@ -102,11 +102,11 @@ pub fn fainter(start: &EffectSpec, factor: f64, scales: &Scales) -> Option<Effec
 /// A start whose effect is so many times as strong.
 fn grown(start: &EffectSpec, leading: &Parameter, factor: f64, scales: &Scales) -> Option<EffectSpec> {
     let mut spec = start.clone();
-    if let ("hertz-contact", Some(p)) = (start.name.as_str(), scales.penetration_m) {
+    if start.name == "hertz-contact" && scales.penetration_m.is_some() {
         // In place of the bumper's line, as stiff as it at the usual penetration: its exponent bends it.
         let n = 1.0 + (start.parameters.get("n")? - 1.0) * factor;
         spec.parameters.insert("n".to_owned(), n);
-        spec.parameters.insert("kh".to_owned(), scales.contact_stiffness_n_m() * p.powf(1.0 - n));
+        spec.parameters.insert("kh".to_owned(), scales.contact_coefficient(n));
         return Some(spec);
     }
     let value = spec.parameters.get_mut(leading.name)?;
@@ -144,6 +144,16 @@ const SPREAD: i32 = 6;
 /// Starting values: shape parameters spread over their prior ranges, the leading (amplitude)
 /// parameter small, of either sign where it may be.
 pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
+    if effect.name == "hertz-contact" && scales.penetration_m.is_some() {
+        // Both of its numbers together: exponents with the linear bumper's force at the usual penetration.
+        let bent = |n: f64| {
+            let mut spec = effect.starting_spec(scales);
+            spec.parameters.insert("kh".to_owned(), scales.contact_coefficient(n));
+            spec.parameters.insert("n".to_owned(), n);
+            spec
+        };
+        return [1.1, 1.5, 2.0, 2.7].map(bent).to_vec();
+    }
     let parameters: Vec<_> =
         (effect.parameters)(scales).into_iter().filter(|p| p.default.is_none()).collect();
     let quantile = |(low, high): (f64, f64), q: f64, logarithmic: bool| {
@@ -172,17 +182,6 @@ pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
         }
         order_friction(&mut spec);
         out.push(spec);
-    }
-    if let ("hertz-contact", Some(p)) = (effect.name, scales.penetration_m) {
-        // Exponents near the linear bumper's, with its force at the usual penetration.
-        let linear = scales.contact_stiffness_n_m();
-        out.clear();
-        out.extend([1.1, 1.5, 2.0, 2.7].map(|n: f64| {
-            let mut spec = effect.starting_spec(scales);
-            spec.parameters.insert("kh".to_owned(), linear * p.powf(1.0 - n));
-            spec.parameters.insert("n".to_owned(), n);
-            spec
-        }));
     }
     if let ("bumper-preload", Some(gap)) = (effect.name, scales.total_gap_m) {
         // By how far it makes the bumper stand back.

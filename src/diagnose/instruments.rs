@@ -140,6 +140,7 @@ fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Finding> {
     }
     let stride = bins.len().div_ceil(20_000);
     let bins: Vec<usize> = bins.into_iter().step_by(stride).collect();
+    let below = |(w0, zeta): (f64, f64), w: f64| Complex64::new(w0 * w0 - w * w, 2.0 * zeta * w0 * w);
     // Plain: difference = g mean + l table (real constants). Yaw adds c H(w) mean.
     let fit = |mode: Option<(f64, f64)>| -> (f64, [f64; 3]) {
         use nalgebra::{Matrix3, Vector3};
@@ -148,9 +149,7 @@ fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Finding> {
         let mut power = 0.0;
         for &b in &bins {
             let w = difference.omega_rad_s(b);
-            let h = mode.map_or(Complex64::ZERO, |(w0, zeta)| {
-                Complex64::from(w * w) / Complex64::new(w0 * w0 - w * w, 2.0 * zeta * w0 * w)
-            });
+            let h = mode.map_or(Complex64::ZERO, |mode| Complex64::from(w * w) / below(mode, w));
             let columns = [mean.bins[b], table.bins[b], h * mean.bins[b]];
             for i in 0..3 {
                 for j in 0..3 {
@@ -206,7 +205,7 @@ fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Finding> {
         let mut pull = nalgebra::SVector::<f64, 5>::zeros();
         for &b in &bins {
             let w = difference.omega_rad_s(b);
-            let below = Complex64::new(w0 * w0 - w * w, 2.0 * zeta * w0 * w);
+            let below = below((w0, zeta), w);
             let h = Complex64::from(w * w) / below;
             let along_w0 = -h * Complex64::new(2.0 * w0 * w0, 2.0 * zeta * w0 * w) / below;
             let along_zeta = -h * Complex64::new(0.0, 2.0 * zeta * w0 * w) / below;
@@ -231,10 +230,10 @@ fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Finding> {
         let shortened = (0..HALVED).map(|k| 0.5_f64.powi(k)).find_map(|share| {
             let trial = (
                 best.1.0 * (share * step[3]).clamp(-1.0, 1.0).exp(),
-                best.1.1 * (share * step[4]).clamp(-1.0, 1.0).exp(),
+                (best.1.1 * (share * step[4]).clamp(-1.0, 1.0).exp()).min(0.9),
             );
-            let (left, x) = fit(Some((trial.0, trial.1.min(0.9))));
-            (left < best.0).then_some((left, (trial.0, trial.1.min(0.9)), x))
+            let (left, x) = fit(Some(trial));
+            (left < best.0).then_some((left, trial, x))
         });
         let Some(better) = shortened else { break };
         let settled = best.0 - better.0 < 1e-3 * per_bin;

@@ -1,6 +1,6 @@
 //! The search for what is missing: base re-fitted, candidates one by one, then in combination.
 
-use super::by_response::is_far;
+use super::by_response::{first_of_each, is_far};
 use super::candidates;
 use super::trial::{self, Trial};
 use super::verdict::{self, Thresholds};
@@ -263,8 +263,8 @@ impl<'a> Searcher<'a> {
         trial::polish(&self.screening, &trial.refit, Domain::Force, settled)
     }
 
-    /// The best fit of every effect on the thinned record, best first: all starts take two steps, the best two
-    /// of an effect go on.
+    /// The best fit of every effect on the thinned record, best first: all starts take two steps, the best of
+    /// an effect goes on, the best two where no response sorts them out.
     pub(super) fn screen(
         &self,
         base: &Refit,
@@ -289,12 +289,8 @@ impl<'a> Searcher<'a> {
         });
         let mut tried: Vec<(&'static str, Refit)> = tried.into_iter().flatten().collect();
         tried.sort_by(|a, b| trial::objective(&a.1).total_cmp(&trial::objective(&b.1)));
-        let mut seen: Vec<&str> = Vec::new();
-        tried.retain(|(name, _)| {
-            let first = !seen.contains(name);
-            seen.push(name);
-            seen.iter().filter(|n| *n == name).count() <= 2 && (first || self.measured.is_none())
-        });
+        let most = if self.measured.is_some() { 1 } else { 2 };
+        first_of_each(&mut tried, |_| most, |(_, refit)| &refit.spec);
         if self.measured.is_some() {
             tried.truncate(GOING_ON);
         }

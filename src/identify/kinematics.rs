@@ -74,8 +74,7 @@ impl Instruments {
     /// Unit gains and no delays, with the noise of the record: where it is too short to tell more.
     pub fn assumed_sound(record: &Record) -> Self {
         let rate = record.sample_rate_hz;
-        let noise =
-            |channel: &[f64]| white_noise_rms(&tapered(channel, rate), 0.5, 0.9) / HANN_MEAN_SQUARE.sqrt();
+        let noise = |channel: &[f64]| noise_under_taper(&tapered(channel, rate));
         let sound = |channel: &[f64]| Accelerometer {
             gain: Estimate { value: 1.0, sigma: 0.0 },
             noise_m_s2: noise(channel),
@@ -115,16 +114,15 @@ pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
         &record.mass_acceleration_1_m_s2,
         second,
     ];
-    let noise = |tapered: &Spectrum| white_noise_rms(tapered, 0.5, 0.9) / HANN_MEAN_SQUARE.sqrt();
     let seen = parallel::map(&channels, parallel::cores(), |channel| {
         let tapered = tapered(channel, rate);
-        (Spectrum::of(channel, rate), noise(&tapered), tapered)
+        (Spectrum::of(channel, rate), noise_under_taper(&tapered), tapered)
     });
     let [(laser, laser_noise_m, tapered_laser), (table, table_noise_m_s2, _), one, two] =
         seen.try_into().ok()?;
     let mass_noise_m_s2 = [one.1, two.1];
-    let mass_noise_most_m_s2 = one.1.max(two.1);
-    let band = Band::of(&tapered_laser, laser_noise_m, table_noise_m_s2.hypot(mass_noise_most_m_s2))?;
+    let acceleration_noise_m_s2 = table_noise_m_s2.hypot(one.1.max(two.1));
+    let band = Band::of(&tapered_laser, laser_noise_m, acceleration_noise_m_s2)?;
     let related =
         parallel::map(&[one.0, two.0], parallel::cores(), |mass| Relation::fit(&laser, &table, mass, &band));
     let relations: [Relation; 2] = related.into_iter().collect::<Option<Vec<_>>>()?.try_into().ok()?;
@@ -147,6 +145,11 @@ pub fn tapered(channel: &[f64], rate: f64) -> Spectrum {
     let window = |i: usize| 1.0 - (std::f64::consts::TAU * i as f64 / channel.len() as f64).cos();
     let windowed: Vec<f64> = channel.iter().enumerate().map(|(i, x)| (x - mean) * window(i)).collect();
     Spectrum::of(&windowed, rate)
+}
+
+/// White noise of a channel, rms, from its tapered spectrum.
+fn noise_under_taper(tapered: &Spectrum) -> f64 {
+    white_noise_rms(tapered, 0.5, 0.9) / HANN_MEAN_SQUARE.sqrt()
 }
 
 /// The band in which the relation is tested, and the samples far enough from the ends.

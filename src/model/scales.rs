@@ -84,4 +84,9 @@ impl Scales {
     pub fn contact_depth_m(&self) -> f64 {
         self.penetration_m.filter(|p| *p > 0.0).unwrap_or(self.displacement_m / 3.0)
     }
+
+    /// Coefficient of a contact `F = kh p^n` that presses as the linear bumper does at the usual penetration, N/m^n.
+    pub fn contact_coefficient(&self, n: f64) -> f64 {
+        self.contact_stiffness_n_m() * self.contact_depth_m().powf(1.0 - n)
+    }
 }

@@ -215,24 +215,22 @@ impl<'a> Measured<'a> {
         known: Option<System>,
     ) -> Option<System> {
         let each: Vec<usize> = (0..steps.len()).collect();
-        let chunks: Vec<&[usize]> = each.chunks(TOGETHER).collect();
         let known = known.map(|system| system.own);
-        let done = parallel::map(&chunks, parallel::cores(), |chunk| {
-            let mut job = self.job(fitted, values)?;
-            let of = |k: &usize| {
-                let known = known.as_ref().map(|own| own[*k].beside.clone());
-                self.eliminate(&mut job, &steps[*k], &nuisances[*k], known)
-            };
-            chunk.iter().map(of).collect::<Option<Vec<_>>>()
-        });
+        let eliminated = parallel::map_with(
+            &each,
+            TOGETHER,
+            || self.job(fitted, values),
+            |job, &k| {
+                let known = known.as_ref().map(|own| own[k].beside.clone());
+                self.eliminate(job, &steps[k], &nuisances[k], known)
+            },
+        )?;
         let size = if fitted.moving { values.len() } else { 0 };
         let mut system =
             System { normal: DMatrix::zeros(size, size), gradient: DVector::zeros(size), own: Vec::new() };
-        for chunk in done {
-            for (information, own) in chunk? {
-                system.normal += information;
-                system.own.push(own);
-            }
+        for (information, own) in eliminated {
+            system.normal += information;
+            system.own.push(own);
         }
         self.aim(&mut system, nuisances, steps);
         Some(system)

@@ -378,21 +378,14 @@ impl<'a> Measured<'a> {
     ) -> Option<(f64, Vec<Step<'a>>)> {
         let common = &values[values.len() - COMMON..];
         let each: Vec<(&usize, &Nuisances)> = self.windows(part).iter().zip(nuisances).collect();
-        let chunks: Vec<_> = each.chunks(TOGETHER).collect();
-        let done = parallel::map(&chunks, parallel::cores(), |chunk| {
-            let mut specimens = self.specimens(spec)?;
-            let laid = chunk.iter().map(|(k, own)| self.lay_one(&mut specimens, **k, common, own));
-            laid.collect::<Option<Vec<_>>>()
-        });
-        let mut cost = 0.0;
-        let mut steps = Vec::with_capacity(nuisances.len());
-        for chunk in done {
-            for (of_step, step) in chunk? {
-                cost += of_step;
-                steps.push(step);
-            }
-        }
-        Some((cost, steps))
+        let laid = parallel::map_with(
+            &each,
+            TOGETHER,
+            || self.specimens(spec),
+            |specimens, (k, own)| self.lay_one(specimens, **k, common, own),
+        )?;
+        let cost = laid.iter().map(|(of_step, _)| of_step).sum();
+        Some((cost, laid.into_iter().map(|(_, step)| step).collect()))
     }
 
     /// One step's share of the cost, and the step.

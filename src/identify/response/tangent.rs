@@ -2,7 +2,7 @@
 //! search for every start of every effect.
 
 use super::descent::{Eliminated, Fitted};
-use super::{COMMON, HUBER, Laid, Measured, Nuisances, Step};
+use super::{COMMON, HUBER, Laid, Measured, Nuisances, Specimens, Step};
 use crate::identify::least_squares::dot;
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
@@ -133,14 +133,27 @@ impl Tangent<'_, '_> {
         let mut specimens = measured.specimens(with)?;
         let (mut power, mut count) = (0.0, 0usize);
         for k in (0..self.steps.len()).step_by(GLANCE) {
-            let (step, nuisances) = (&self.steps[k], &self.laid.nuisances[k]);
-            let simulated = measured.simulate(&mut specimens, step.window, common[0], nuisances);
-            let misfit = measured.misfit(step.window, &simulated, common, nuisances);
-            let square: f64 = misfit.iter().zip(&misfits[k]).map(|(c, r)| (c - r).powi(2)).sum();
-            power += self.own[k].weight * square;
-            count += misfit.len();
+            let changed = self.changed(&mut specimens, k, common, &self.laid.nuisances[k], &misfits[k]);
+            power += self.own[k].weight * dot(&changed, &changed);
+            count += changed.len();
         }
         power.is_finite().then(|| (power / count.max(1) as f64).sqrt())
+    }
+
+    /// Change of a step's misfit that specimens make.
+    fn changed(
+        &self,
+        specimens: &mut Specimens,
+        k: usize,
+        common: &[f64],
+        nuisances: &[f64],
+        before: &[f64],
+    ) -> Vec<f64> {
+        let window = self.steps[k].window;
+        let simulated = self.measured.simulate(specimens, window, common[0], nuisances);
+        let mut changed = self.measured.misfit(window, &simulated, common, nuisances);
+        changed.iter_mut().zip(before).for_each(|(c, r)| *c -= r);
+        changed
     }
 
     fn project(&self, with: &ModelSpec, moved: Option<&Score>) -> Option<Score> {
@@ -164,10 +177,9 @@ impl Tangent<'_, '_> {
             if let Some(score) = moved {
                 nuisances.iter_mut().zip(&score.beside[k]).for_each(|(x, by)| *x += by);
             }
-            let simulated = measured.simulate(&mut specimens, step.window, common[0], &nuisances);
-            let mut changed = measured.misfit(step.window, &simulated, common, &nuisances);
-            changed.iter_mut().zip(&misfits[k]).for_each(|(c, r)| *c -= r);
-            let large = step.residuals[..simulated.len()].iter().enumerate().filter(|(_, r)| r.abs() > HUBER);
+            let mut changed = self.changed(&mut specimens, k, common, &nuisances, &misfits[k]);
+            let large =
+                step.residuals[..step.simulated.len()].iter().enumerate().filter(|(_, r)| r.abs() > HUBER);
             large.for_each(|(i, r)| changed[i] *= HUBER / r.abs());
             if changed.iter().any(|c| !c.is_finite()) {
                 return None;

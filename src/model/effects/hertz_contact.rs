@@ -20,15 +20,14 @@ pub static EFFECT: Effect = Effect {
     piecewise_linear: false,
     parameters: |s| {
         // The same stiffness at the usual depth is another coefficient with another exponent: by orders of magnitude.
-        let as_stiff = |n: f64| s.contact_stiffness_n_m() * s.contact_depth_m().powf(1.0 - n);
-        let (low, high) = (as_stiff(LEAST).min(as_stiff(MOST)), as_stiff(LEAST).max(as_stiff(MOST)));
+        let (one, other) = (s.contact_coefficient(LEAST), s.contact_coefficient(MOST));
         vec![
             Parameter::positive(
                 "kh",
                 "N/m^n",
                 "stiffness coefficient",
-                (0.5 * low, 2.0 * high),
-                as_stiff(1.5),
+                (0.5 * one.min(other), 2.0 * one.max(other)),
+                s.contact_coefficient(1.5),
             ),
             Parameter::positive("n", "1", "exponent, 1.5 for spheres", (LEAST, MOST), 1.5)
                 .linear()
