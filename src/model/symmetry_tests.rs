@@ -213,3 +213,16 @@ fn there_and_back(spec: &ModelSpec, input: &[f64]) -> (f64, f64) {
     let end = back.map(|a| again.step(*a)).last().expect("samples");
     (size(&end, &rest), moved)
 }
+
+/// What remembers its reversals starts from where the constant force has pushed it, whichever side that is.
+#[test]
+fn a_start_under_a_constant_force_mirrors_exactly() {
+    let input = input(0.441116, 1.3728621, 400);
+    let mut spec = b1_g2();
+    spec.effects.push(effect("gap-asymmetry", &[("s_m", 1.7e-3)]));
+    spec.effects.push(effect("constant-force", &[("f_n", -30.0)]));
+    spec.effects.extend(every(1.0).into_iter().filter(|added| added.name == "iwan-hysteresis"));
+    let (one, two) = (run(&spec, &input, 1.0), run(&mirrored(&spec), &input, -1.0));
+    let worst = one.iter().zip(&two).map(|(one, two)| unlike(one, two)).fold(0.0, f64::max);
+    assert!(worst < 1e-12, "{worst}");
+}

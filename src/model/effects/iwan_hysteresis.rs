@@ -113,14 +113,24 @@ impl Iwan {
         count
     }
 
+    /// Force on the branch that the reversals so far lead to.
     fn at(&self, x: f64) -> f64 {
         match self.active(x) {
             0 => self.virgin(x.abs()).copysign(x),
-            count => {
-                let (from, force) = self.turns[count - 1];
-                force + (2.0 * self.virgin(0.5 * (x - from).abs())).copysign(x - from)
-            }
+            count => self.from(self.turns[count - 1], x),
         }
+    }
+
+    /// Force on the branch that begins at a reversal.
+    fn from(&self, (turn, force): (f64, f64), x: f64) -> f64 {
+        force + (2.0 * self.virgin(0.5 * (x - turn).abs())).copysign(x - turn)
+    }
+
+    /// How far back from the place last taken note of a new branch leads, until it meets the one that it left.
+    fn loop_width(&self) -> f64 {
+        let count = self.active(self.last);
+        let from = count.checked_sub(1).map_or(-self.last, |turn| self.turns[turn].0);
+        (self.last - from).abs()
     }
 }
 
@@ -130,7 +140,12 @@ impl Term for Iwan {
     }
 
     fn force(&self, at: &Point, _: &[f64], _: &mut [f64]) -> f64 {
-        self.at(at.displacement_m)
+        let (x, back) = (at.displacement_m, at.displacement_m - self.last);
+        // A reversal that is not taken note of yet has its branch all the same.
+        if back * self.direction < 0.0 && back.abs() < self.loop_width() {
+            return self.from((self.last, self.at(self.last)), x);
+        }
+        self.at(x)
     }
 
     fn commit(&mut self, displacement_m: f64) {

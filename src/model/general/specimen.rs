@@ -233,11 +233,25 @@ impl<const N: usize> General<N> {
         self.largest[0] = self.largest[0].max(self.y[0].abs());
         self.largest[1] = self.largest[1].max(self.y[1].abs());
         if self.turns {
-            let element =
-                if self.mode.joint == Joint::Rigid { self.y[0] } else { self.y[self.layout.element] };
-            self.system.isolator_terms.iter_mut().for_each(|term| term.commit(element));
-            self.system.mass_terms.iter_mut().for_each(|term| term.commit(self.y[0]));
+            if self.mode.direction == 0 && self.y[1] != 0.0 {
+                self.mode.direction = if self.y[1] < 0.0 { -1 } else { 1 };
+            }
+            self.remember();
         }
+    }
+
+    /// Tells terms with memory where they are.
+    fn remember(&mut self) {
+        let element = if self.mode.joint == Joint::Rigid { self.y[0] } else { self.y[self.layout.element] };
+        self.system.isolator_terms.iter_mut().for_each(|term| term.commit(element));
+        self.system.mass_terms.iter_mut().for_each(|term| term.commit(self.y[0]));
+    }
+
+    /// Terms with memory begin where they are, pushed there from nothing.
+    fn forget(&mut self) {
+        let terms = self.system.isolator_terms.iter_mut().chain(&mut self.system.mass_terms);
+        terms.for_each(|term| term.reset());
+        self.remember();
     }
 
     /// States free tips as they are now: a nonlinear one relaxes by small steps, which must not begin at
@@ -420,13 +434,10 @@ impl<const N: usize> Specimen for General<N> {
         // What is far below the specimen's own size need not be resolved.
         self.largest = [1e-3 * length, 1e-3 * length * frequency];
         self.mode.tips = [Tip::default(); 2];
-        self.mode.direction = i8::from(self.turns);
+        // Which way it goes first is not known yet.
+        self.mode.direction = 0;
         self.mode.joint = if self.system.joint_half_width_m.is_some() { Joint::Open } else { Joint::Rigid };
-        self.system
-            .isolator_terms
-            .iter_mut()
-            .chain(&mut self.system.mass_terms)
-            .for_each(|term| term.reset());
+        self.forget();
         self.settle_mode();
     }
 
@@ -467,6 +478,7 @@ impl<const N: usize> Specimen for General<N> {
         if self.at_rest {
             self.at_rest = false;
             self.y[0] = 0.0;
+            self.forget();
             self.settle_mode();
         }
         let (d0, v0, d1, v1) = (self.y[0], self.y[1], relative_displacement_m, relative_velocity_m_s);
