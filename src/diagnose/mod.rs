@@ -17,6 +17,7 @@ pub mod structure;
 pub(crate) mod testing;
 pub mod trial;
 pub mod verdict;
+mod yaw;
 
 pub use engine::{DiagnoseError, Options, diagnose, diagnose_together};
 pub use report::Diagnosis;

@@ -1,0 +1,223 @@
+//! A rotational mode in the difference of the two accelerometers on the mass: its ratio to their mean changes with frequency as
+//! `w^2/(w0^2 - w^2 + 2 i zeta w0 w)` does, while a gain or a leak keeps it (or its share of the table's) constant. The instruments
+//! ask for it.
+
+use super::instruments::{Estimate95, Finding};
+use crate::identify::kinematics::{HANN_MEAN_SQUARE, tapered};
+use crate::identify::spectral::Spectrum;
+use crate::record::Record;
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use realfft::num_complex::Complex64;
+use std::f64::consts::TAU;
+
+/// Frequencies and damping ratios that the search begins from.
+const FREQUENCIES: u32 = 48;
+const DAMPINGS: [f64; 4] = [0.01, 0.03, 0.1, 0.3];
+/// Rounds of the search about the best of them, its first width in frequency, and by how much it shrinks.
+const ROUNDS: i32 = 24;
+const WIDE: f64 = 0.12;
+const SHRINKS: f64 = 0.8;
+/// Largest damping ratio.
+const MOST_DAMPED: f64 = 0.9;
+/// Steps of Gauss-Newton at most, and how often one is halved.
+const GAUSS_NEWTON: usize = 30;
+const HALVED: i32 = 6;
+/// Power in the mean over the noise of a bin that counts, and how many bins are enough.
+const STANDS_OUT: f64 = 100.0;
+const FEWEST: usize = 64;
+const MOST: usize = 20_000;
+/// What a gain and a leak leave, over the noise, from which on a mode is looked for; share of that which it may leave.
+const LEFT: f64 = 1.3;
+const UNEXPLAINED: f64 = 0.3;
+/// Variance of a coefficient told by tapered spectra over that by plain ones: mean fourth power of a Hann window over the square of
+/// its mean square.
+const HANN_SHARED: f64 = 35.0 / 18.0;
+/// Half the spacing of the accelerometers that an eccentricity is told for, m.
+const HALF_SPACING_M: f64 = 0.5;
+
+/// Frequency, rad/s, and damping ratio of a mode.
+type Mode = (f64, f64);
+
+/// What is left of the power, with gain, leak and strength of the mode.
+type Fitted = (f64, [f64; 3]);
+
+/// Finds the mode, if there is one; `noise` of each accelerometer, m/s2 rms.
+pub(super) fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Finding> {
+    let spectra = Spectra::of(record, noise)?;
+    let (plain, _) = spectra.fit(None);
+    let floor = spectra.noise_of_a_bin * spectra.bins.len() as f64;
+    if plain < LEFT * floor {
+        return None;
+    }
+    let (mode, (left, x)) = spectra.refined(spectra.coarse(record.sample_rate_hz)?);
+    // The mode has to explain most of what a gain and a leak do not.
+    if (left - floor).max(0.0) > UNEXPLAINED * (plain - floor) {
+        return None;
+    }
+    let (information, _) = spectra.slopes(mode, x);
+    // A bin's noise lies half in its real part; tapering has neighbouring bins share theirs.
+    let noise = 0.5 * HANN_SHARED * left / spectra.bins.len() as f64;
+    let covariance = information.try_inverse()?;
+    let around = |value: f64, per: f64, i: usize| {
+        let half = 1.96 * per * (covariance[(i, i)].max(0.0) * noise).sqrt();
+        Estimate95 { value, low95: value - half, high95: value + half }
+    };
+    // A1 - A2 = 2 y'', y'' = H(w) (3 e / L) A with L half the spacing.
+    let arm = HALF_SPACING_M / 3.0;
+    let f_hz = mode.0 / TAU;
+    Some(Finding {
+        name: "yaw-rotation".to_owned(),
+        parameters: vec![
+            ("e_m".to_owned(), around(x[2] * arm, arm, 2), "m".to_owned()),
+            ("f_hz".to_owned(), around(f_hz, f_hz, 3), "Hz".to_owned()),
+            ("zeta".to_owned(), around(mode.1, mode.1, 4), "1".to_owned()),
+        ],
+        text: "the accelerometers on the mass differ as a rotational mode does".to_owned(),
+    })
+}
+
+/// Half the difference and the mean of both accelerometers and the table's, tapered.
+struct Spectra {
+    difference: Spectrum,
+    mean: Spectrum,
+    table: Spectrum,
+    /// Bins with signal in the mean: the response there is known.
+    bins: Vec<usize>,
+    /// Power of the noise of the difference in one bin.
+    noise_of_a_bin: f64,
+}
+
+impl Spectra {
+    fn of(record: &Record, noise: &[f64; 2]) -> Option<Self> {
+        let n = record.mass_acceleration_1_m_s2.len();
+        if record.mass_acceleration_2_m_s2.len() != n || n < 1024 {
+            return None;
+        }
+        let rate = record.sample_rate_hz;
+        let half_of = |of: &dyn Fn(f64, f64) -> f64| -> Vec<f64> {
+            let pair = record.mass_acceleration_1_m_s2.iter().zip(&record.mass_acceleration_2_m_s2);
+            pair.map(|(a, b)| 0.5 * of(*a, *b)).collect()
+        };
+        // Tapered: what one noisy sample at an end stands for beyond it would be several times the noise at low frequencies.
+        let difference = tapered(&half_of(&|a, b| a - b), rate);
+        let mean = tapered(&half_of(&|a, b| a + b), rate);
+        let table = tapered(&record.table_acceleration_m_s2, rate);
+        let of_difference = 0.25 * (noise[0].powi(2) + noise[1].powi(2)) * HANN_MEAN_SQUARE;
+        let noise_of_a_bin = of_difference * n as f64;
+        let bins: Vec<usize> = difference
+            .band(0.05, 0.3 * rate)
+            .filter(|&b| mean.bins[b].norm_sqr() > STANDS_OUT * noise_of_a_bin)
+            .collect();
+        if bins.len() < FEWEST {
+            return None;
+        }
+        let stride = bins.len().div_ceil(MOST);
+        let bins = bins.into_iter().step_by(stride).collect();
+        Some(Self { difference, mean, table, bins, noise_of_a_bin })
+    }
+
+    /// Difference = gain of mean + leak of table (real constants) + strength of the mode's share of the mean.
+    fn fit(&self, mode: Option<Mode>) -> Fitted {
+        let mut normal = Matrix3::<f64>::zeros();
+        let mut right = Vector3::<f64>::zeros();
+        let mut power = 0.0;
+        for &b in &self.bins {
+            let w = self.difference.omega_rad_s(b);
+            let h = mode.map_or(Complex64::ZERO, |mode| Complex64::from(w * w) / below(mode, w));
+            let columns = [self.mean.bins[b], self.table.bins[b], h * self.mean.bins[b]];
+            for i in 0..3 {
+                for j in 0..3 {
+                    normal[(i, j)] += (columns[i].conj() * columns[j]).re;
+                }
+                right[i] += (columns[i].conj() * self.difference.bins[b]).re;
+            }
+            power += self.difference.bins[b].norm_sqr();
+        }
+        for i in 0..3 {
+            normal[(i, i)] += 1e-12 * normal[(0, 0)].max(1e-300);
+        }
+        let x = normal.cholesky().map(|c| c.solve(&right)).unwrap_or_default();
+        (power - x.dot(&right), [x[0], x[1], x[2]])
+    }
+
+    /// The best mode of a coarse search over all frequencies.
+    fn coarse(&self, rate: f64) -> Option<(Mode, Fitted)> {
+        let (low, high) = (self.difference.omega_rad_s(*self.bins.first()?), 0.4 * TAU * rate);
+        let mut best: Option<(Mode, Fitted)> = None;
+        let try_out = |best: &mut Option<(Mode, Fitted)>, mode: Mode| {
+            let fitted = self.fit(Some(mode));
+            if best.as_ref().is_none_or(|(_, (left, _))| fitted.0 < *left) {
+                *best = Some((mode, fitted));
+            }
+        };
+        for i in 0..=FREQUENCIES {
+            let w0 = low * (high / low).powf(f64::from(i) / f64::from(FREQUENCIES));
+            DAMPINGS.into_iter().for_each(|zeta| try_out(&mut best, (w0, zeta)));
+        }
+        for round in 0..ROUNDS {
+            let (w0, zeta) = best.as_ref()?.0;
+            let by = WIDE * SHRINKS.powi(round);
+            for (w0, zeta) in [
+                (w0 * (1.0 + by), zeta),
+                (w0 * (1.0 - by), zeta),
+                (w0, (zeta * (1.0 + 4.0 * by)).min(MOST_DAMPED)),
+                (w0, zeta / (1.0 + 4.0 * by)),
+            ] {
+                try_out(&mut best, (w0, zeta));
+            }
+        }
+        best
+    }
+
+    /// Frequency and damping pull on each other and on the strength: Gauss-Newton steps, halved where they lead astray.
+    fn refined(&self, mut best: (Mode, Fitted)) -> (Mode, Fitted) {
+        for _ in 0..GAUSS_NEWTON {
+            let ((w0, zeta), (before, x)) = best;
+            let (information, pull) = self.slopes((w0, zeta), x);
+            let Some(inverse) = information.try_inverse() else { break };
+            let step = inverse * pull;
+            let better = (0..HALVED).map(|k| 0.5_f64.powi(k)).find_map(|share| {
+                let times = |i: usize| (share * step[i]).clamp(-1.0, 1.0).exp();
+                let mode = (w0 * times(3), (zeta * times(4)).min(MOST_DAMPED));
+                let fitted = self.fit(Some(mode));
+                (fitted.0 < before).then_some((mode, fitted))
+            });
+            let Some(better) = better else { break };
+            best = better;
+            if before - best.1.0 < 1e-3 * self.noise_of_a_bin {
+                break;
+            }
+        }
+        best
+    }
+
+    /// Information along gain, leak, strength and the logarithms of the mode's frequency and damping, and what pulls along them.
+    /// Below a resonance the last three go together.
+    fn slopes(&self, (w0, zeta): Mode, x: [f64; 3]) -> (SMatrix<f64, 5, 5>, SVector<f64, 5>) {
+        let mut information = SMatrix::<f64, 5, 5>::zeros();
+        let mut pull = SVector::<f64, 5>::zeros();
+        for &b in &self.bins {
+            let w = self.difference.omega_rad_s(b);
+            let below = below((w0, zeta), w);
+            let h = Complex64::from(w * w) / below;
+            let along_w0 = -h * Complex64::new(2.0 * w0 * w0, 2.0 * zeta * w0 * w) / below;
+            let along_zeta = -h * Complex64::new(0.0, 2.0 * zeta * w0 * w) / below;
+            let of_mean = [Complex64::ONE, Complex64::ZERO, h, x[2] * along_w0, x[2] * along_zeta];
+            let mut slopes = of_mean.map(|of_mean| of_mean * self.mean.bins[b]);
+            slopes[1] = self.table.bins[b];
+            let left = self.difference.bins[b] - slopes[0] * x[0] - slopes[1] * x[1] - slopes[2] * x[2];
+            for i in 0..5 {
+                pull[i] += (slopes[i].conj() * left).re;
+                for j in 0..5 {
+                    information[(i, j)] += (slopes[i].conj() * slopes[j]).re;
+                }
+            }
+        }
+        (information, pull)
+    }
+}
+
+/// The denominator of a mode's response.
+fn below((w0, zeta): Mode, w: f64) -> Complex64 {
+    Complex64::new(w0 * w0 - w * w, 2.0 * zeta * w0 * w)
+}
