@@ -15,18 +15,23 @@ use crate::parallel;
 
 /// So many candidates that the response puts first are fitted by it.
 const SCORED: usize = 4;
-/// So many starts of an effect that has more than two numbers, and of one that rings.
+/// So many starts of an effect that has two numbers, of one that has more or whose two numbers make up for the model's own ones, and
+/// of one that rings.
+const FEW_STARTS: usize = 2;
 const STARTS: usize = 3;
 const OF_RINGING: usize = 5;
 /// Nats behind the best within which another start of an effect is worth a fit.
 const NEARBY: f64 = 30.0;
-/// So many of those are refined.
+/// So many of those are refined, and whatever is that near after a short fit; so many at least, to be refused by name.
 const REFINED: usize = 3;
+const REFUSED: usize = 2;
 /// Every so many steps are looked at to sort them out.
 const HALF: usize = 2;
+/// Share of the best one's nats to first order below which another start of an effect is not fitted.
+const ANOTHER: f64 = 0.3;
 /// Nats to first order below which a candidate is not fitted, the first alone to be refused by name; and the share of the first
 /// one's.
-const WORTH: f64 = 8.0;
+const WORTH: f64 = 4.0;
 const SHARE: f64 = 0.05;
 /// Median over the steps of the mean square over the noise above which a model is too far off for first order.
 const FAR: f64 = 1.15;
@@ -37,7 +42,7 @@ const BETTER: f64 = 2.0;
 /// Nats that a simpler effect beside the one that contains it has to bring.
 const MERGED: f64 = 20.0;
 /// What is behind the best by so many nats after a short fit gets no long one; a candidate a few rounds more, to be refused by name.
-const HOPELESS: f64 = 150.0;
+const HOPELESS: f64 = 80.0;
 const FEW_ROUNDS: usize = 2;
 /// Deviations of its prior that a number of the model is from where it was given when it makes up for something; and the share of
 /// its prior's width that it is then left.
@@ -186,9 +191,10 @@ impl Searcher<'_> {
         let mut effects: Vec<String> = Vec::new();
         first.retain(|(nats, spec)| {
             let name = spec.effects.last().map(|e| e.name.clone()).unwrap_or_default();
-            let goes_on =
-                effects.is_empty() || effects.contains(&name) || effects.len() < SCORED && *nats > worth;
-            if goes_on && !effects.contains(&name) {
+            let another = effects.contains(&name);
+            let goes_on = effects.is_empty()
+                || if another { *nats > ANOTHER * best } else { effects.len() < SCORED && *nats > worth };
+            if goes_on && !another {
                 effects.push(name);
             }
             goes_on
@@ -213,12 +219,14 @@ impl Searcher<'_> {
         let cost = |laid: &Laid| laid.cost + laid.prior;
         tried.sort_by(|a, b| cost(&a.2).total_cmp(&cost(&b.2)));
         let mut others = first_of_each(&mut tried, |_| 1, |(spec, _, _)| spec);
-        tried.truncate(REFINED);
-        // Each step's start anew: what the model before had there holds the gap where it was.
         let least = tried.first().map_or(0.0, |(_, _, laid)| cost(laid));
+        let behind = |short: &Laid| 0.5 * HALF as f64 * (cost(short) - least) / response.colour().max(1.0);
+        let within = |nats: f64| tried.iter().take_while(|(_, _, short)| behind(short) < nats).count();
+        let (near, hopeful) = (within(NEARBY), within(HOPELESS));
+        tried.truncate(near.max(hopeful.clamp(REFUSED, REFINED)));
+        // Each step's start anew: what the model before had there holds the gap where it was.
         let arrived = |(spec, _, short): &(ModelSpec, Numbers, Laid)| {
-            let behind = 0.5 * HALF as f64 * (cost(short) - least) / response.colour().max(1.0);
-            let rounds = if behind > HOPELESS { FEW_ROUNDS } else { long.iterations };
+            let rounds = if behind(short) > HOPELESS { FEW_ROUNDS } else { long.iterations };
             let (spec, numbers, laid) = fit(measured, spec, Settings { iterations: rounds, ..long })?;
             let mut names = from.names.clone();
             names.push(spec.effects.last()?.name.clone());
@@ -324,12 +332,13 @@ pub(super) fn to_first_order(
     Some((start, score))
 }
 
-/// Starts of an effect that are fitted: where there are more than two numbers, or the frequency of a ringing, the likelihood has several
-/// summits.
+/// Starts of an effect that are fitted: where there are several numbers, or the frequency of a ringing, the likelihood has several
+/// summits, or long valleys.
 fn fitted_starts(effect: &EffectSpec) -> usize {
     match effect.parameters.len() {
         _ if effect.name == "stand-compliance" => OF_RINGING,
-        0..=2 => 1,
+        0 | 1 => 1,
+        2 if effect.name != "fractional-damping" => FEW_STARTS,
         _ => STARTS,
     }
 }

@@ -4,6 +4,7 @@ use crate::identify::motion::Motion;
 use crate::model::effects::{self, Effect, Parameter, Place, Sign};
 use crate::model::{EffectSpec, ModelSpec, Scales};
 use crate::record::Kind;
+use std::f64::consts::TAU;
 
 /// Effects that a single record of this kind may show through the motion of the specimen, in the
 /// order of the catalogue, those that the model has already left out.
@@ -81,22 +82,21 @@ pub fn scaled(start: &EffectSpec, factor: f64, scales: &Scales) -> Option<(Effec
     let most = (3.0 * high.abs()).min(leading.at_most);
     let least = if leading.sign == Sign::Either { -most } else { (0.1 * low).max(1e-6 * high.abs()) };
     let before = *start.parameters.get(leading.name)?;
-    let mut spec = grown(start, &leading, factor, scales)?;
-    let value = spec.parameters.get_mut(leading.name)?;
-    *value = value.clamp(least.min(most), most);
-    let by = if leading.in_series { before / *value } else { *value / before };
+    let within =
+        (before * if leading.in_series { 1.0 / factor } else { factor }).clamp(least.min(most), most);
+    let by = if leading.in_series { before / within } else { within / before };
+    let spec = grown(start, &leading, by, scales)?;
     by.is_finite().then_some((spec, by))
 }
 
 /// Largest exponent of a contact that a fit starts from.
 const MOST_BENT: f64 = 3.0;
 
-/// A start that does less; `None` of a spring in series, which is another one when it is fainter: its frequency goes with its
-/// stiffness.
+/// A start that does less.
 pub fn fainter(start: &EffectSpec, factor: f64, scales: &Scales) -> Option<EffectSpec> {
     let effect = effects::find(&start.name).ok()?;
     let leading = (effect.parameters)(scales).into_iter().find(|p| p.default.is_none())?;
-    if leading.in_series { None } else { grown(start, &leading, factor, scales) }
+    grown(start, &leading, factor, scales)
 }
 
 /// A start whose effect is so many times as strong.
@@ -111,6 +111,10 @@ fn grown(start: &EffectSpec, leading: &Parameter, factor: f64, scales: &Scales) 
     }
     let value = spec.parameters.get_mut(leading.name)?;
     *value = if leading.in_series { *value / factor } else { *value * factor };
+    // A stand rings as fast as before, a lighter one where it is softer.
+    if let ("stand-compliance", Some(mass)) = (start.name.as_str(), spec.parameters.get_mut("ms_kg")) {
+        *mass /= factor;
+    }
     Some(spec)
 }
 
@@ -135,9 +139,13 @@ pub fn beside(spec: &ModelSpec, start: &EffectSpec) -> ModelSpec {
     with
 }
 
-/// Masses of a stand that are tried, each so many times the one before.
-const MASSES: i32 = 9;
-const HEAVIER: f64 = 1.35;
+/// Frequencies of a stand that are tried, Hz, each so many times the one before; its stiffness over the bumper's.
+const RINGING_HZ: [f64; 2] = [15.0, 700.0];
+const FASTER: f64 = 1.11;
+const STIFFER: f64 = 30.0;
+const GOLDEN: f64 = 0.618_033_988_749_895;
+/// Shapes that are no nearer to each other than that are started from.
+const ALIKE: f64 = 0.1;
 /// Starts spread over the prior ranges of an effect with three numbers or more.
 const SPREAD: i32 = 6;
 
@@ -153,6 +161,22 @@ pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
             spec
         };
         return [1.1, 1.5, 2.0, 2.7].map(bent).to_vec();
+    }
+    if effect.name == "stand-compliance" {
+        // How it shows depends on how fast it rings; at one frequency it does so much more as it is softer.
+        let count = ((RINGING_HZ[1] / RINGING_HZ[0]).ln() / FASTER.ln()) as i32;
+        let ringing = |k: i32| {
+            let (stiffness, pulsation) =
+                (STIFFER * scales.contact_stiffness_n_m(), TAU * RINGING_HZ[0] * FASTER.powi(k));
+            let mut spec = effect.starting_spec(scales);
+            spec.parameters.insert("ks_n_m".to_owned(), stiffness);
+            spec.parameters.insert("ms_kg".to_owned(), stiffness / pulsation.powi(2));
+            spec
+        };
+        // Spread from the first on, for those who take a few.
+        let mut order: Vec<i32> = (0..=count).collect();
+        order.sort_by(|a, b| (GOLDEN * f64::from(*a)).fract().total_cmp(&(GOLDEN * f64::from(*b)).fract()));
+        return order.into_iter().map(ringing).collect();
     }
     let parameters: Vec<_> =
         (effect.parameters)(scales).into_iter().filter(|p| p.default.is_none()).collect();
@@ -191,18 +215,26 @@ pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
             spec
         }));
     }
-    if effect.name == "stand-compliance" {
-        // How it shows depends on both numbers together, and much on how fast it rings.
-        for stiffer in [4.0, 8.0, 16.0] {
-            for k in 0..MASSES {
-                let mut spec = effect.starting_spec(scales);
-                spec.parameters.insert("ks_n_m".to_owned(), stiffer * scales.contact_stiffness_n_m());
-                spec.parameters.insert("ms_kg".to_owned(), 0.005 * scales.mass_kg * HEAVIER.powi(k));
-                out.push(spec);
-            }
+    one_of_each_shape(&mut out, &parameters, effect.name != "bumper-preload");
+    out
+}
+
+/// Leaves out what is shaped like one before it: how strong an effect is follows from first order.
+fn one_of_each_shape(starts: &mut Vec<EffectSpec>, parameters: &[Parameter], strength_follows: bool) {
+    let shape = &parameters[usize::from(strength_follows && !parameters.is_empty())..];
+    let alike = |a: &EffectSpec, b: &EffectSpec| {
+        shape.iter().all(|parameter| {
+            let (of_a, of_b) = (a.parameters.get(parameter.name), b.parameters.get(parameter.name));
+            of_a.zip(of_b).is_some_and(|(a, b)| (a - b).abs() <= ALIKE * a.abs().max(b.abs()))
+        })
+    };
+    let mut kept: Vec<EffectSpec> = Vec::with_capacity(starts.len());
+    for start in starts.drain(..) {
+        if !kept.iter().any(|other| alike(other, &start)) {
+            kept.push(start);
         }
     }
-    out
+    *starts = kept;
 }
 
 /// Breakaway friction is not below the sliding one.

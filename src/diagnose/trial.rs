@@ -98,6 +98,8 @@ pub struct Response {
     pub left: [Left; 2],
     /// What the freedom of its numbers is worth on the steps of training, nats.
     pub freedom_nats: f64,
+    /// Share of the steps in which impacts kick the table.
+    pub kicked: f64,
 }
 
 impl Response {
@@ -139,7 +141,8 @@ pub fn judge_response(
         [measured.left(&spec, Part::Training, &training)?, measured.left(&spec, Part::HeldOut, &held_out)?];
     let refit = measured.refit(&spec, &numbers, &training, left[0].colour);
     let freedom_nats = measured.freedom_nats(&numbers, &training, left[0].colour);
-    let response = Some(Response { training, held_out, left, freedom_nats });
+    let kicked = measured.kicked();
+    let response = Some(Response { training, held_out, left, freedom_nats, kicked });
     Some(Trial { refit, response, ..trial.clone() })
 }
 

@@ -5,6 +5,7 @@ use super::search::Search;
 use super::shapes::Shaped;
 use super::structure::Structure;
 use super::trial::{Trial, schwarz_nats};
+use crate::model::effects::{self, Place};
 use serde::Serialize;
 
 /// The answer.
@@ -42,11 +43,16 @@ pub struct Thresholds {
     /// The same where the simulated response decides, set so that records with nothing missing stay below
     /// (docs/diagnose.md).
     pub response: [f64; 2],
+    /// The same beside an effect that was taken already: what the fit of that one has left is taken up, too.
+    pub further: [f64; 2],
     /// Nats to first order that a generic shape of force brings beside a model with nothing missing, and beside an explanation,
     /// from which on something is there that the catalogue does not have.
     pub shape: [f64; 2],
     /// Covariance of neighbouring residuals of the response, in units of the noise, that is structure.
     pub structure: f64,
+    /// Nats for every residual that an effect of the bumpers must bring beyond that where impacts kick the table: what drives a
+    /// simulation then is not known better beside a contact.
+    pub kicked: f64,
     /// Difference of log-likelihood below which two explanations are not told apart, nats.
     pub tie: f64,
     /// Share of the base model's excess that may be left by a complete explanation.
@@ -59,8 +65,10 @@ impl Default for Thresholds {
     fn default() -> Self {
         Self {
             gain: [3.0, 24.0],
-            response: [3.0, 12.0],
+            response: [1.0, 6.0],
+            further: [7.5, 30.0],
             shape: [20.0, 60.0],
+            kicked: 5e-4,
             structure: 0.03,
             tie: 6.0,
             left: 0.2,
@@ -70,14 +78,15 @@ impl Default for Thresholds {
 }
 
 impl Thresholds {
-    /// What a trial has to bring on each part of the steps and together. A further effect takes up what the fit of the first one
-    /// has left, too.
+    /// What a trial has to bring on each part of the steps and together.
     fn asked(self, trial: &Trial, from: &Trial) -> [f64; 2] {
-        match (&trial.response, from.names.is_empty()) {
-            (Some(_), true) => self.response,
-            (Some(_), false) => self.response.map(|nats| FURTHER * nats),
-            (None, _) => self.gain,
-        }
+        let Some(response) = &trial.response else { return self.gain };
+        let [each, together] = if from.names.is_empty() { self.response } else { self.further };
+        let of_bumpers = effects::find(&last_name(trial))
+            .is_ok_and(|effect| matches!(effect.place, Place::Bumper | Place::Stand));
+        let count = (response.training.count + response.held_out.count) as f64;
+        let doubt = if of_bumpers { self.kicked * response.kicked * count } else { 0.0 };
+        [each, together + doubt]
     }
 }
 
@@ -160,7 +169,7 @@ pub fn decide(
     for stage in &search.stages {
         let Some((chosen, rivals)) = choose(&stage.finalists, &taken, thresholds) else {
             for trial in &stage.finalists {
-                refused.push(refuse(trial, &taken, base, "no gain on held-out steps beyond chance"));
+                refused.push(too_little(trial, &taken, thresholds));
             }
             break;
         };
@@ -206,9 +215,6 @@ pub fn decide(
     Decision { verdict, chosen: taken, ambiguous_with, probabilities, refused, left }
 }
 
-/// A further effect has to bring so many times what the first has to.
-const FURTHER: f64 = 2.5;
-
 /// A shape has to do better than what was taken by so much more than a rival from the catalogue: it is the best of many.
 const OF_MANY: f64 = 4.0;
 
@@ -235,7 +241,7 @@ fn by_response(
     }
 }
 
-/// What is asked of all steps together, so many times.
+/// What brings so many times what is asked of all steps together need not bring its part on each of them.
 const FAR_MORE: f64 = 2.0;
 
 /// Of what was named on records with a known truth, so much was there, however sure the likelihood was (docs/diagnose.md).
@@ -269,15 +275,15 @@ fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(
     let passed: Vec<&Trial> =
         finalists.iter().filter(|trial| brings_together(trial, from, thresholds) && stands(trial)).collect();
     let best = passed.iter().copied().reduce(better)?;
-    let equals: Vec<&&Trial> = passed.iter().filter(|trial| apart(best, trial) < thresholds.tie).collect();
+    let within = |nats: f64| passed.iter().filter(move |trial| apart(best, trial) < nats);
+    let equals: Vec<&&Trial> = within(0.5 * thresholds.tie).collect();
     let is_simpler = |a: &Trial, b: &Trial| contained_in(&own_name(b, a)).contains(&own_name(a, b).as_str());
     let chosen = equals
         .iter()
         .find(|a| equals.iter().all(|b| !is_simpler(b, a)) && equals.iter().any(|b| is_simpler(a, b)))
         .map_or(best, |a| **a);
-    let rivals = equals
-        .iter()
-        .filter(|trial| own_name(trial, chosen) != own_name(chosen, trial) && !is_simpler(chosen, trial))
+    let rivals = within(thresholds.tie)
+        .filter(|trial| own_name(trial, chosen) != own_name(chosen, trial))
         .map(|trial| own_name(trial, chosen))
         .collect();
     let mut chosen = chosen.clone();
@@ -315,16 +321,18 @@ fn follows(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
     }
 }
 
-/// The interval of a parameter of the added effect excludes zero, by 3.5 standard deviations of the coloured fit.
+/// The interval of a parameter of the added effect excludes zero: the one of 95 % where the simulated response decides, whose
+/// nats have told chance already; else by 3.5 standard deviations of the coloured fit.
 fn excludes_zero(trial: &Trial, from: &Trial) -> bool {
     let index = trial.refit.spec.effects.len() - 1;
     let prefix = format!("effect[{index}].");
     let refit = &trial.refit;
+    let times: f64 = if trial.response.is_some() { 1.96 } else { 3.5 };
     refit.numbers.numbers.iter().enumerate().filter(|(_, n)| n.key.starts_with(&prefix)).any(|(j, number)| {
         let (value, sigma) = (refit.fit.values[j], refit.sigmas[j]);
         // A number fitted by its logarithm is away from zero when its magnitude is known.
-        let known = if number.logarithmic { sigma < 0.5 } else { value.abs() > 3.5 * sigma };
-        known || !number.logarithmic && trial.training_gain(from) > 0.5 * 3.5_f64.powi(2)
+        let known = if number.logarithmic { sigma < 0.5 } else { value.abs() > times * sigma };
+        known || !number.logarithmic && trial.training_gain(from) > 0.5 * times.powi(2)
     })
 }
 
@@ -357,6 +365,21 @@ fn refuse(trial: &Trial, against: &Trial, base: &Trial, why: &str) -> Refused {
             100.0 * against.share_left(base),
             gain(against, trial),
             against.training_gain(trial),
+        ),
+    }
+}
+
+/// Why a trial that does not bring enough was not taken.
+fn too_little(trial: &Trial, from: &Trial, thresholds: Thresholds) -> Refused {
+    let [_, asked] = thresholds.asked(trial, from);
+    Refused {
+        name: last_name(trial),
+        reason: format!(
+            "no gain on held-out steps beyond chance: brings {:.1} nats there, {:.1} on the steps of the fit and {:.1} in all, \
+             less what its freedom costs; {asked:.0} are asked",
+            gain(trial, from),
+            trial.training_gain(from),
+            apart(trial, from),
         ),
     }
 }

@@ -12,3 +12,4 @@ pub mod response;
 pub mod spectral;
 mod table;
 pub mod together;
+mod windows;

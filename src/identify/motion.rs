@@ -9,6 +9,7 @@
 use super::kinematics::{self, Instruments, Tolerances};
 use super::spectral::{Spectrum, white_noise_rms};
 use super::together::Source;
+use super::windows;
 use crate::parallel;
 use crate::record::{Kind, Record};
 use realfft::num_complex::Complex64;
@@ -115,7 +116,7 @@ impl Motion {
             Kind::Force => forced(record, mass_kg)?,
             Kind::Component => component(record)?,
         };
-        motion.windows = cut(record, &motion);
+        motion.windows = windows::cut(record, &motion);
         motion.remove_acceleration_zeros();
         motion.remove_noise_of_the_table();
         Ok(motion)
@@ -397,115 +398,4 @@ fn signal_end_rad_s(spectrum: &Spectrum, noise: f64) -> f64 {
         }
     }
     spectrum.omega_rad_s(end.min(spectrum.bins.len() - 1)).max(spectrum.omega_rad_s(1))
-}
-
-/// Steady stretches: the later part of each step in whole cycles, or the record in equal parts.
-/// Steady steps below which a record is cut into equal parts.
-const FEWEST_STEPS: usize = 4;
-
-fn cut(record: &Record, motion: &Motion) -> Vec<Window> {
-    let n = motion.displacement_m.len();
-    let mut windows = Vec::new();
-    if record.step.len() == n {
-        let mut start = 0;
-        while start < n {
-            let step = record.step[start];
-            let mut end = start + 1;
-            while end < n && record.step[end] == step {
-                end += 1;
-            }
-            if step >= 0
-                && let Some(window) = steady(step, start..end, motion)
-            {
-                windows.push(window);
-            }
-            start = end;
-        }
-    }
-    // A few long stretches leave none to judge by: they are cut into parts instead.
-    if windows.len() < FEWEST_STEPS {
-        windows = equal_parts(n, motion);
-    }
-    // Every third stretch judges; the first and last serve the fit, so that it need not extrapolate.
-    let last = windows.len().saturating_sub(1);
-    for (i, window) in windows.iter_mut().enumerate() {
-        window.held_out = i % 3 == 1 && i != last;
-    }
-    windows
-}
-
-/// The last four whole cycles of a step (half of it when shorter), warmed up by three before.
-fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
-    let rate = motion.sample_rate_hz;
-    let input = if motion.drive_m_s2.is_empty() { &motion.displacement_m } else { &motion.drive_m_s2 };
-    let frequency_hz = main_frequency_hz(&input[range.clone()], rate)?;
-    let cycle = rate / frequency_hz;
-    let cycles = (range.len() as f64 / cycle).floor();
-    let counted = if cycles >= 7.0 { 4.0 } else { (cycles / 2.0).floor() };
-    if counted < 1.0 {
-        return None;
-    }
-    let start = range.end - (counted * cycle).round() as usize;
-    let warm_from = start.saturating_sub((3.0 * cycle).round() as usize).max(range.start);
-    let warm_from = from_the_middle(&motion.displacement_m, warm_from..start, cycle);
-    Some(Window {
-        step,
-        frequency_hz,
-        warm_from,
-        range: start..range.end,
-        held_out: false,
-        source: 0,
-        drive_noise_m_s2: 0.0,
-    })
-}
-
-/// The first passage through zero within a cycle: a model is warmed up from rest in the middle, and what it remembers of a jump
-/// from there to elsewhere it forgets slowly.
-fn from_the_middle(displacement: &[f64], range: Range<usize>, cycle: f64) -> usize {
-    let within = range.start..range.end.min(range.start + cycle.ceil() as usize + 1).min(displacement.len());
-    let crosses = |n: &usize| displacement[n - 1] * displacement[*n] <= 0.0;
-    within.clone().skip(1).find(crosses).unwrap_or(range.start)
-}
-
-/// Thirty equal parts inside a record without steps, each warmed up by the one before.
-fn equal_parts(n: usize, motion: &Motion) -> Vec<Window> {
-    let parts = (n / 64).clamp(1, 30);
-    let length = n / parts;
-    let input = if motion.drive_m_s2.is_empty() { &motion.displacement_m } else { &motion.drive_m_s2 };
-    let frequency_hz = main_frequency_hz(input, motion.sample_rate_hz).unwrap_or(1.0);
-    (usize::from(parts > 4)..parts)
-        .map(|i| Window {
-            step: i as i32,
-            frequency_hz,
-            warm_from: (i * length).saturating_sub(2 * length),
-            range: i * length..(i + 1) * length,
-            held_out: false,
-            source: 0,
-            drive_noise_m_s2: 0.0,
-        })
-        .collect()
-}
-
-/// Frequency from upward crossings of the mean with a hysteresis of half the RMS; `None` with
-/// fewer than two.
-pub fn main_frequency_hz(channel: &[f64], rate: f64) -> Option<f64> {
-    let mean = channel.iter().sum::<f64>() / channel.len().max(1) as f64;
-    let rms = (channel.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / channel.len().max(1) as f64).sqrt();
-    let mut low = false;
-    let mut crossings: Vec<f64> = Vec::new();
-    let mut below = 0;
-    for (i, x) in channel.iter().enumerate() {
-        let x = x - mean;
-        if x < 0.0 {
-            below = i;
-        }
-        if x < -0.5 * rms {
-            low = true;
-        } else if low && x > 0.5 * rms {
-            low = false;
-            crossings.push(below as f64);
-        }
-    }
-    let (first, last) = (crossings.first()?, crossings.last()?);
-    (crossings.len() > 1).then(|| (crossings.len() - 1) as f64 * rate / (last - first))
 }

@@ -14,6 +14,8 @@ pub struct Number {
     pub key: String,
     /// The fit moves the logarithm.
     pub logarithmic: bool,
+    /// How strong an effect is: its first number, where its magnitude is not known beforehand.
+    pub strength: bool,
 }
 
 /// The numbers of a model that a fit moves, and the fit's view of them.
@@ -64,7 +66,7 @@ impl Numbers {
         let scale = value.abs() * half_width.max(1e-6) * SIGMA;
         // Three half-widths are far outside what the file allows; the prior pulls long before.
         let reach = (6.0 * half_width).min(0.95) * value.abs();
-        self.numbers.push(Number { key: key.to_owned(), logarithmic: false });
+        self.numbers.push(Number { key: key.to_owned(), logarithmic: false, strength: false });
         self.free.push(Free {
             key: key.to_owned(),
             start: value,
@@ -95,9 +97,12 @@ impl Numbers {
             given.parameters.iter().for_each(|(name, value)| self.add_own(index, name, *value));
             return;
         }
-        for parameter in (effect.parameters)(scales) {
+        for (i, parameter) in (effect.parameters)(scales).into_iter().enumerate() {
             if let Some(start) = given.parameters.get(parameter.name) {
                 self.add_parameter(&format!("effect[{index}].{}", parameter.name), &parameter, *start);
+                if let (0, Some(added)) = (i, self.numbers.last_mut()) {
+                    added.strength = !added.logarithmic;
+                }
             }
         }
     }
@@ -106,7 +111,7 @@ impl Numbers {
     fn add_own(&mut self, index: usize, name: &str, value: f64) {
         let key = format!("effect[{index}].{name}");
         let size = if value == 0.0 { 1.0 } else { value.abs() };
-        self.numbers.push(Number { key: key.clone(), logarithmic: false });
+        self.numbers.push(Number { key: key.clone(), logarithmic: false, strength: false });
         self.free.push(Free {
             key,
             start: value,
@@ -143,7 +148,7 @@ impl Numbers {
                 bounds: (bottom.max(tiny).max(parameter.at_least), (3.0 * high.abs()).min(parameter.at_most)),
             }
         };
-        self.numbers.push(Number { key: key.to_owned(), logarithmic });
+        self.numbers.push(Number { key: key.to_owned(), logarithmic, strength: false });
         self.free.push(free);
     }
 

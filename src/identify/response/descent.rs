@@ -1,6 +1,7 @@
 //! Damped Gauss-Newton on the response: the nuisances of each step are eliminated from the normal equations, which therefore stay
 //! as small as the model. Called for every fit and every judgement by the response.
 
+use super::tangent::is_piecewise_linear;
 use super::{
     COMMON, HUBER, Laid, Measured, Nuisances, OVER, Simulated, Specimens, Step, TOGETHER, robust, slopes,
 };
@@ -13,8 +14,11 @@ use crate::parallel;
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
 
-/// Difference for a slope along a nuisance, over its prior deviation.
-const SMALL: f64 = 0.2;
+/// Difference for a slope along a nuisance, over its prior deviation, where the solver is exact: a stiff contact amplifies a start by
+/// tens, and a slope over what bends by then has the rest of the gap's left over, as information that is not there.
+const SMALL: f64 = 0.01;
+/// The same to both sides where its steps' errors are not far enough below that.
+const TO_BOTH_SIDES: f64 = 0.2;
 /// A change by so many times what is usual in a step is a jump that went over a sample, if it is one at all.
 const UNUSUAL: f64 = 6.0;
 /// A fall of the cost that is not worth another step.
@@ -57,11 +61,19 @@ impl<'a> Measured<'a> {
         let mut fresh = Vec::new();
         if known.is_none() {
             for (j, sigma) in self.sigmas(window).into_iter().enumerate().take(self.followed(window)) {
-                let h = SMALL * sigma.max(1e-12);
-                let mut start = own.to_vec();
-                start[j] += h;
-                let simulated = self.simulate(&mut job.own, window, common[0], &start);
-                fresh.push(changed(&simulated, h));
+                let mut along_start = |h: f64| {
+                    let mut start = own.to_vec();
+                    start[j] += h;
+                    changed(&self.simulate(&mut job.own, window, common[0], &start), h)
+                };
+                let sigma = sigma.max(1e-12);
+                if job.exact {
+                    fresh.push(along_start(SMALL * sigma));
+                    continue;
+                }
+                let h = TO_BOTH_SIDES * sigma;
+                let (to, fro) = (along_start(h), along_start(-h));
+                fresh.push(to.iter().zip(&fro).map(|(to, fro)| 0.5 * (to + fro)).collect());
             }
             fresh.push(column(&|i| if counts(i) { -1.0 } else { 0.0 }, &|_| 0.0));
             let knots = self.knots(window);
@@ -255,7 +267,8 @@ impl<'a> Measured<'a> {
                 None => Moved { specimens: self.specimens(&fitted.spec)?, h },
             });
         }
-        Some(Job { values, moving: fitted.moving, moved, own: self.specimens(&fitted.spec)? })
+        let exact = is_piecewise_linear(&fitted.spec);
+        Some(Job { values, moving: fitted.moving, moved, own: self.specimens(&fitted.spec)?, exact })
     }
 
     /// A step's information on the values that move, its nuisances eliminated, and what is needed to find those again.
@@ -302,12 +315,17 @@ impl<'a> Measured<'a> {
     }
 
     /// What the freedom of a fit's numbers is worth, nats: half the logarithm of how much narrower the record makes them than they were
-    /// before, so that one that it says nothing about costs nothing (Occam factor of a Laplace approximation: MacKay 1992).
+    /// before, so that one that it says nothing about costs nothing (Occam factor of a Laplace approximation: MacKay 1992). The strength
+    /// of an effect may have any magnitude: what it was before is as wide as some times what it is.
     pub fn freedom_nats(&self, numbers: &Numbers, laid: &Laid, colour: f64) -> f64 {
         let free = self.free(numbers, 0.0);
         let wide = |j: usize| {
             let sigma = free[j].prior.1;
-            if sigma.is_finite() { sigma } else { laid.values[j].abs().max(free[j].scale) }
+            match numbers.numbers.get(j) {
+                Some(number) if number.strength => sigma.min(MAGNITUDE * laid.values[j].abs()),
+                _ if sigma.is_finite() => sigma,
+                _ => laid.values[j].abs().max(free[j].scale),
+            }
         };
         let narrowed = DMatrix::from_fn(free.len(), free.len(), |i, j| {
             wide(i) * laid.information[(i, j)] * wide(j) / colour.max(1.0) + f64::from(u8::from(i == j))
@@ -352,6 +370,9 @@ impl<'a> Measured<'a> {
     }
 }
 
+/// How much wider than its strength an effect's range was before: two nats for its magnitude.
+const MAGNITUDE: f64 = 7.4;
+
 /// A fit that goes on.
 pub(super) struct Fitted<'b> {
     pub(super) spec: ModelSpec,
@@ -366,6 +387,8 @@ struct Job<'b> {
     moving: bool,
     moved: Vec<Moved>,
     own: Specimens,
+    /// Without error-controlled steps.
+    exact: bool,
 }
 
 struct Moved {

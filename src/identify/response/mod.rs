@@ -34,6 +34,8 @@ use std::sync::{Arc, OnceLock};
 const ROBUST: f64 = 1.5;
 /// Samples of a record that are simulated at most in one evaluation; steps are left out evenly beyond it.
 const SAMPLES: usize = 120_000;
+/// A record of more samples tells enough by a part of its steps where candidates are sorted out.
+const LONG: usize = 360_000;
 /// Standard deviation of the time between the table's channel and the others, in samples.
 const LAG: f64 = 0.3;
 /// Numbers beyond the model's: zero of the displacement sensor, leak, lag, gains of the displacement sensor and of the
@@ -165,6 +167,17 @@ impl<'a> Measured<'a> {
     pub fn every(&self, steps: usize) -> Self {
         let training = self.training.iter().copied().step_by(steps.max(1)).collect();
         Self { training, ..self.clone() }
+    }
+
+    /// Whether a part of the steps is enough to sort out.
+    pub fn is_long(&self) -> bool {
+        self.motion.displacement_m.len() > LONG
+    }
+
+    /// Share of the steps of training in which impacts kick the table: what drives those is known as it was measured, not as a sine.
+    pub fn kicked(&self) -> f64 {
+        let kicked = |k: &&usize| self.motion.windows[**k].drive_noise_m_s2 > 0.0;
+        self.training.iter().filter(kicked).count() as f64 / self.training.len().max(1) as f64
     }
 
     fn windows(&self, part: Part) -> &[usize] {

@@ -10,7 +10,7 @@ use crate::model::{EffectSpec, ModelSpec, effects};
 use nalgebra::{DMatrix, DVector};
 
 /// So many samples tell enough for first order.
-const TOLD: usize = 70_000;
+const TOLD: usize = 80_000;
 /// Every so many of the steps tell how large a change is.
 const GLANCE: usize = 4;
 
@@ -39,7 +39,7 @@ impl<'a> Measured<'a> {
     ) -> Option<Tangent<'b, 'a>> {
         // Of a long record a part tells enough.
         let samples: usize = self.training.iter().map(|k| self.motion.windows[*k].range.len()).sum();
-        let thinned = samples.div_ceil(TOLD).max(1);
+        let thinned = samples.div_ceil(if self.is_long() { TOLD / 2 } else { TOLD }).max(1);
         let mut laid = laid.clone();
         laid.nuisances = laid.nuisances.into_iter().step_by(thinned).collect();
         self.every(thinned).linear(spec, numbers, laid, thinned)
@@ -85,7 +85,7 @@ impl<'a> Measured<'a> {
 }
 
 /// Whether the exact solver takes a model.
-fn is_piecewise_linear(spec: &ModelSpec) -> bool {
+pub(super) fn is_piecewise_linear(spec: &ModelSpec) -> bool {
     spec.effects.iter().all(|effect| effects::find(&effect.name).is_ok_and(|effect| effect.piecewise_linear))
 }
 
