@@ -35,8 +35,9 @@ const WORTH: f64 = 4.0;
 const SHARE: f64 = 0.05;
 /// Median over the steps of the mean square over the noise above which a model is too far off for first order.
 const FAR: f64 = 1.15;
-/// The same of the covariance of neighbouring residuals.
+/// The same of the covariance of neighbouring residuals, and of how many count as one.
 const STRUCTURED: f64 = 0.01;
+const COLOURED: f64 = 1.3;
 /// Nats by which the base model has to do better when it is fitted again.
 const BETTER: f64 = 2.0;
 /// Nats that a simpler effect beside the one that contains it has to bring.
@@ -305,7 +306,7 @@ impl Searcher<'_> {
 
 /// Whether a model is too far off for first order.
 pub(super) fn is_far(response: &Response) -> bool {
-    response.left[0].median > FAR || response.excess() > STRUCTURED
+    response.left[0].median > FAR || response.excess() > STRUCTURED || response.colour() > COLOURED
 }
 
 /// What a start brings, made fainter where it is too much for first order and may be.

@@ -130,7 +130,7 @@ fn tables(page: &mut Page, found: &Diagnosis) {
     }
     if !found.refused.is_empty() {
         page.section("Tried and refused");
-        let mut table = Table::new(["Effect", "Why"]);
+        let mut table = Table::of_sentences(["Effect", "Why"]);
         found.refused.iter().for_each(|r| table.push([r.name.clone(), r.reason.clone()]));
         page.table(&table);
     }

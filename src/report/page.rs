@@ -16,6 +16,7 @@ grid-template-columns:repeat(auto-fit,minmax(min(100%,460px),1fr))}.scroll{overf
 table{border-collapse:collapse;font-variant-numeric:tabular-nums;margin:.6rem 0}\
 th,td{padding:.22rem .8rem;text-align:right;border-bottom:1px solid var(--grid);white-space:nowrap}\
 th:first-child,td:first-child{text-align:left;padding-left:0}th{font-weight:600}\
+.sentences td,.sentences th{text-align:left;vertical-align:top}.sentences td:last-child{white-space:normal;max-width:80ch}\
 .note{border-left:3px solid var(--model);padding:.2rem .8rem;margin:.8rem 0}\
 details{margin:.6rem 0}summary{cursor:pointer}pre{overflow-x:auto;font-size:.85rem}";
 

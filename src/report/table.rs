@@ -8,12 +8,19 @@ use std::fmt::Write as _;
 pub struct Table {
     head: Vec<String>,
     rows: Vec<Vec<String>>,
+    /// Cells hold sentences: on a page they wrap and read from the left.
+    sentences: bool,
 }
 
 impl Table {
     /// A table with these column heads (units included).
     pub fn new<S: Into<String>>(head: impl IntoIterator<Item = S>) -> Self {
-        Self { head: head.into_iter().map(Into::into).collect(), rows: Vec::new() }
+        Self { head: head.into_iter().map(Into::into).collect(), rows: Vec::new(), sentences: false }
+    }
+
+    /// A table whose cells hold sentences: on a page they wrap and read from the left.
+    pub fn of_sentences<S: Into<String>>(head: impl IntoIterator<Item = S>) -> Self {
+        Self { sentences: true, ..Self::new(head) }
     }
 
     /// The table with one more row; missing cells stay empty.
@@ -69,7 +76,8 @@ impl Table {
         let cells = |row: &[String], tag: &str| -> String {
             row.iter().map(|cell| format!("<{tag}>{}</{tag}>", escape(cell))).collect()
         };
-        let mut out = String::from("<div class=\"scroll\"><table>");
+        let class = if self.sentences { " class=\"sentences\"" } else { "" };
+        let mut out = format!("<div class=\"scroll\"><table{class}>");
         if self.head.iter().any(|head| !head.is_empty()) {
             let _ = write!(out, "<thead><tr>{}</tr></thead>", cells(&self.head, "th"));
         }
