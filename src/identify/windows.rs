@@ -64,17 +64,16 @@ fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
     }
     let most = (MOST * SHORT / motion.displacement_m.len() as f64).min(MOST).min(cycles - WARM);
     let back = |count: f64| range.end - (count * cycle).round() as usize;
-    let like_the_last = |channel: &[f64], from: usize, to: usize| {
-        let last = phasor(&channel[back(COUNTED)..range.end], cycle);
-        let turned = TAU * (back(COUNTED) - from) as f64 / cycle;
-        let there = phasor(&channel[from..to], cycle) * Complex64::from_polar(1.0, turned);
-        (there - last).norm() < STEADY * last.norm()
+    let channels = [input, &motion.displacement_m];
+    let from_here = back(counted);
+    let last = channels.map(|channel| phasor(&channel[from_here..range.end], cycle));
+    let like_the_last = |from: usize, to: usize| {
+        let turned = Complex64::from_polar(1.0, TAU * (from_here - from) as f64 / cycle);
+        channels.iter().zip(&last).all(|(channel, last)| {
+            (phasor(&channel[from..to], cycle) * turned - last).norm() < STEADY * last.norm()
+        })
     };
-    while counted >= COUNTED && counted + 1.0 <= most {
-        let (from, to) = (back(counted + 1.0), back(counted));
-        if !like_the_last(input, from, to) || !like_the_last(&motion.displacement_m, from, to) {
-            break;
-        }
+    while counted >= COUNTED && counted + 1.0 <= most && like_the_last(back(counted + 1.0), back(counted)) {
         counted += 1.0;
     }
     let start = back(counted);

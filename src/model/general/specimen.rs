@@ -240,9 +240,14 @@ impl<const N: usize> General<N> {
         }
     }
 
+    /// Displacement of what is in series with the joint, the mass's own where there is none, m.
+    fn element_m(&self) -> f64 {
+        self.y[if self.mode.joint == Joint::Rigid { 0 } else { self.layout.element }]
+    }
+
     /// Tells terms with memory where they are.
     fn remember(&mut self) {
-        let element = if self.mode.joint == Joint::Rigid { self.y[0] } else { self.y[self.layout.element] };
+        let element = self.element_m();
         self.system.isolator_terms.iter_mut().for_each(|term| term.commit(element));
         self.system.mass_terms.iter_mut().for_each(|term| term.commit(self.y[0]));
     }
@@ -326,7 +331,7 @@ impl<const N: usize> General<N> {
 
     /// Mode that fits the present state: where segments, contacts and directions are taken from it.
     fn settle_mode(&mut self) {
-        let element = if self.mode.joint == Joint::Rigid { self.y[0] } else { self.y[self.layout.element] };
+        let element = self.element_m();
         self.mode.segment = self.system.segment(element);
         for side in 0..2 {
             self.mode.contact[side] =
