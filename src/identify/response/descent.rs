@@ -1,10 +1,8 @@
 //! Damped Gauss-Newton on the response: the nuisances of each step are eliminated from the normal equations, which therefore stay
 //! as small as the model. Called for every fit and every judgement by the response.
 
-use super::tangent::is_piecewise_linear;
-use super::{
-    COMMON, HUBER, Laid, Measured, Nuisances, OVER, Simulated, Specimens, Step, TOGETHER, robust, slopes,
-};
+use super::columns::Job;
+use super::{Laid, Measured, Nuisances, Step, TOGETHER, robust};
 use crate::identify::least_squares::{self, Free, Settings, dot};
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
@@ -14,101 +12,17 @@ use crate::parallel;
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
 
-/// Difference for a slope along a nuisance, over its prior deviation, where the solver is exact: a stiff contact amplifies a start by
-/// tens, and a slope over what bends by then has the rest of the gap's left over, as information that is not there.
-const SMALL: f64 = 0.01;
-/// The same to both sides where its steps' errors are not far enough below that.
-const TO_BOTH_SIDES: f64 = 0.2;
-/// A change by so many times what is usual in a step is a jump that went over a sample, if it is one at all.
-const UNUSUAL: f64 = 6.0;
 /// A fall of the cost that is not worth another step.
 const SETTLED: f64 = 0.3;
 /// Share of the cost above which the slopes along the nuisances are kept.
 const LITTLE: f64 = 0.98;
 /// Steps that are taken with the slopes of an earlier one.
 const CHORDS: usize = 3;
+/// Damping of a step that was too long before, and how many times as far it goes on from there while the cost falls.
+const SHORT: f64 = 1e-3;
+const FURTHER: [f64; 5] = [1.0, 2.0, 4.0, 8.0, 16.0];
 
 impl<'a> Measured<'a> {
-    /// Slopes of a step's residuals along the values that move and along its nuisances.
-    fn columns(
-        &self,
-        job: &mut Job<'_>,
-        step: &Step<'_>,
-        own: &[f64],
-        known: Option<Arc<Vec<Vec<f64>>>>,
-    ) -> (Vec<Vec<f64>>, Arc<Vec<Vec<f64>>>) {
-        let motion = self.motion;
-        let (window, n) = (step.window, step.simulated.len());
-        let (sa, sd) = (1.0 / motion.restoring_noise_m_s2, 1.0 / motion.laser_noise_m);
-        let common = &job.values[job.values.len() - COMMON..];
-        let column = |a: &dyn Fn(usize) -> f64, d: &dyn Fn(usize) -> f64| -> Vec<f64> {
-            (0..n).map(|i| sa * a(i)).chain((0..n).map(|i| sd * d(i))).collect()
-        };
-        let counted = self.counts();
-        let counts = |i: usize| counted[window.range.start + i];
-        let changed = |simulated: &Simulated, h: f64| {
-            let change = |i: usize| step.simulated[i].0 - simulated[i].0;
-            let square: f64 = (0..n).filter(|i| counts(*i)).map(|i| (sa * change(i)).powi(2)).sum();
-            let most = OVER.max(UNUSUAL * (square / n as f64).sqrt()) / sa;
-            let small = |i: usize| if counts(i) && change(i).abs() < most { change(i) / h } else { 0.0 };
-            column(&small, &|i| (step.simulated[i].1 - simulated[i].1) / h)
-        };
-        let mut along = Vec::with_capacity(job.moved.len() + COMMON);
-        for m in &mut job.moved {
-            let simulated = self.simulate(&mut m.specimens, window, common[0], own);
-            along.push(changed(&simulated, m.h));
-        }
-        let mut fresh = Vec::new();
-        if known.is_none() {
-            for (j, sigma) in self.sigmas(window).into_iter().enumerate().take(self.followed(window)) {
-                let mut along_start = |h: f64| {
-                    let mut start = own.to_vec();
-                    start[j] += h;
-                    changed(&self.simulate(&mut job.own, window, common[0], &start), h)
-                };
-                let sigma = sigma.max(1e-12);
-                if job.exact {
-                    fresh.push(along_start(SMALL * sigma));
-                    continue;
-                }
-                let h = TO_BOTH_SIDES * sigma;
-                let (to, fro) = (along_start(h), along_start(-h));
-                fresh.push(to.iter().zip(&fro).map(|(to, fro)| 0.5 * (to + fro)).collect());
-            }
-            fresh.push(column(&|i| if counts(i) { -1.0 } else { 0.0 }, &|_| 0.0));
-            let knots = self.knots(window);
-            for knot in 0..knots {
-                let share = |i: usize| match self.beside(window, i, knots) {
-                    (left, share) if left == knot => 1.0 - share,
-                    (left, share) if left + 1 == knot => share,
-                    _ => 0.0,
-                };
-                fresh.push(column(&|_| 0.0, &|i| -share(i)));
-            }
-        }
-        if job.moving {
-            let rate = motion.sample_rate_hz;
-            // The start is measured from the zero.
-            let start = &known.as_deref().unwrap_or(&fresh)[0];
-            along.push(column(&|i| start[i] / sa, &|i| 1.0 + start[n + i] / sd));
-            let drive = |i: usize| if counts(i) { -motion.drive_m_s2[window.range.start + i] } else { 0.0 };
-            along.push(column(&drive, &|_| 0.0));
-            let of_a = |i: usize| if counts(i) { -step.simulated[i].0 } else { 0.0 };
-            let late = |i: usize| if counts(i) { rate * slopes(&step.simulated, i).0 } else { 0.0 };
-            along.push(column(&late, &|i| rate * slopes(&step.simulated, i).1));
-            along.push(column(&|_| 0.0, &|i| -step.simulated[i].1));
-            along.push(column(&of_a, &|_| 0.0));
-        }
-        // A large residual stands as the root of its share of the cost.
-        for (i, r) in step.residuals[..n].iter().enumerate().filter(|(_, r)| r.abs() > HUBER) {
-            along.iter_mut().for_each(|c| c[i] *= HUBER / r.abs());
-            fresh.iter_mut().for_each(|c| c[i] *= HUBER / r.abs());
-        }
-        let finite = |c: &Vec<f64>| c.iter().all(|x| x.is_finite());
-        along.iter_mut().chain(&mut fresh).filter(|c| !finite(c)).for_each(|c| c.fill(0.0));
-        (along, known.unwrap_or_else(|| Arc::new(fresh)))
-    }
-
     /// Fits a model's numbers to the steps of training from where another fit ended.
     pub fn fit(
         &self,
@@ -122,7 +36,7 @@ impl<'a> Measured<'a> {
         let mut values: Vec<f64> = free.iter().map(|f| f.start.clamp(f.bounds.0, f.bounds.1)).collect();
         let mut nuisances = self.still(Part::Training);
         if let Some(from) = from {
-            let (to, of) = (values.len() - COMMON, from.values.len() - COMMON);
+            let (to, of) = (self.of_model(&values), self.of_model(&from.values));
             values[to..].copy_from_slice(&from.values[of..]);
             nuisances.clone_from(&from.nuisances);
         }
@@ -148,74 +62,117 @@ impl<'a> Measured<'a> {
         &self,
         mut fitted: Fitted<'_>,
         part: Part,
-        mut values: Vec<f64>,
-        mut nuisances: Vec<Nuisances>,
+        values: Vec<f64>,
+        nuisances: Vec<Nuisances>,
         settings: Settings,
     ) -> Option<Laid> {
         let free = fitted.free;
-        let prior = |x: &[f64]| least_squares::prior_sum(free, x);
-        fitted.numbers.put(&values, &mut fitted.spec).then_some(())?;
-        let (mut cost, mut steps) = self.lay(&fitted.spec, part, &values, &nuisances)?;
+        let mut at = self.at(&fitted, part, values, nuisances)?;
+        fitted.spec.clone_from(&at.spec);
         let mut damping = 1e-4;
-        let mut system = self.linearise(&fitted, &values, &nuisances, &steps, None)?;
+        let mut system = self.linearise(&fitted, &at.values, &at.nuisances, &at.steps, None)?;
         // Where the slopes along the nuisances were taken, and whether the values have moved since.
-        let (mut cost_of_nuisances, mut kept) = (cost, false);
+        let (mut cost_of_nuisances, mut kept) = (at.cost, false);
         let (mut rounds, mut chords) = (0, 0);
+        // Where the last of several short steps ended.
+        let mut behind: Option<(Vec<f64>, Vec<Nuisances>)> = None;
         while rounds < settings.iterations {
-            let Some((moved, own)) = system.step(free, &values, &nuisances, damping) else { break };
-            if chords == 0 && system.promises(free, &values, &moved) < SETTLED {
+            let Some((moved, own)) = system.step(free, &at.values, &at.nuisances, damping) else { break };
+            if chords == 0 && system.promises(free, &at.values, &moved) < SETTLED {
                 break;
             }
-            let mut spec = fitted.spec.clone();
-            let laid =
-                fitted.numbers.put(&moved, &mut spec).then(|| self.lay(&spec, part, &moved, &own)).flatten();
-            let before = cost + prior(&values);
-            let fall = match laid {
-                Some((to, there)) if to + prior(&moved) < before => {
-                    let fall = before - to - prior(&moved);
-                    (cost, steps, values, nuisances, fitted.spec) = (to, there, moved, own, spec);
-                    fall
-                }
-                _ if chords > 0 => 0.0,
-                _ if kept => {
-                    (kept, cost_of_nuisances) = (false, cost);
-                    system = self.linearise(&fitted, &values, &nuisances, &steps, None)?;
+            let before = at.total;
+            match self.at(&fitted, part, moved, own).filter(|to| to.total < before) {
+                Some(to) => at = to,
+                None if chords > 0 => {}
+                None if kept => {
+                    (kept, cost_of_nuisances) = (false, at.cost);
+                    system = self.linearise(&fitted, &at.values, &at.nuisances, &at.steps, None)?;
                     continue;
                 }
-                _ => {
+                None => {
                     damping *= 10.0;
                     if damping > 1e5 {
                         break;
                     }
                     continue;
                 }
-            };
-            let settled = fall < SETTLED;
+            }
             if chords == 0 {
+                let ended = (damping >= SHORT).then(|| (at.values.clone(), at.nuisances.clone()));
+                if let (Some(from), Some(_)) = (&behind, &ended) {
+                    at = self.further(&fitted, part, at, from);
+                }
+                behind = ended;
                 rounds += 1;
                 damping = (damping * 0.1).max(1e-9);
             }
+            fitted.spec.clone_from(&at.spec);
+            let settled = before - at.total < SETTLED;
             // The slopes hold for a few steps; one simulation in place of one for each of them.
             if !settled && chords < CHORDS {
                 chords += 1;
-                self.aim(&mut system, &nuisances, &steps);
+                self.aim(&mut system, &at.nuisances, &at.steps);
                 continue;
             }
             let ended = settled && chords == 0;
             chords = 0;
             // The slopes along the nuisances change little while the model moves little.
-            kept = cost > LITTLE * cost_of_nuisances;
+            kept = at.cost > LITTLE * cost_of_nuisances;
             if !kept {
-                cost_of_nuisances = cost;
+                cost_of_nuisances = at.cost;
             }
-            system = self.linearise(&fitted, &values, &nuisances, &steps, kept.then_some(system))?;
+            system = self.linearise(&fitted, &at.values, &at.nuisances, &at.steps, kept.then_some(system))?;
             if ended {
                 break;
             }
         }
-        let count = steps.iter().map(|s| self.count(s.window)).sum();
-        let prior = if fitted.moving { prior(&values) } else { 0.0 };
+        let count = at.steps.iter().map(|s| self.count(s.window)).sum();
+        let prior = if fitted.moving { at.total - at.cost } else { 0.0 };
+        let At { values, nuisances, cost, .. } = at;
         Some(Laid { prior, values, nuisances, cost, count, information: system.normal })
+    }
+
+    /// Lays a model with such values against the steps of a part.
+    fn at(
+        &self,
+        fitted: &Fitted<'_>,
+        part: Part,
+        values: Vec<f64>,
+        nuisances: Vec<Nuisances>,
+    ) -> Option<At<'_>> {
+        let mut spec = fitted.spec.clone();
+        fitted.numbers.put(&values, &mut spec).then_some(())?;
+        let (cost, steps) = self.lay(&spec, part, &values, &nuisances)?;
+        let total = cost + least_squares::prior_sum(fitted.free, &values);
+        Some(At { spec, values, nuisances, steps, cost, total })
+    }
+
+    /// In a valley that bends every step is a short one: on along what the last one came to, from floor to floor.
+    fn further<'b>(
+        &'b self,
+        fitted: &Fitted<'_>,
+        part: Part,
+        mut at: At<'b>,
+        from: &(Vec<f64>, Vec<Nuisances>),
+    ) -> At<'b> {
+        let (values, nuisances) = (at.values.clone(), at.nuisances.clone());
+        for times in FURTHER {
+            let on = |x: &[f64], of: &[f64]| -> Vec<f64> {
+                x.iter().zip(of).map(|(x, of)| x + times * (x - of)).collect()
+            };
+            let mut moved = on(&values, &from.0);
+            moved
+                .iter_mut()
+                .zip(fitted.free)
+                .for_each(|(x, free)| *x = x.clamp(free.bounds.0, free.bounds.1));
+            let own = nuisances.iter().zip(&from.1).map(|(x, of)| on(x, of)).collect();
+            match self.at(fitted, part, moved, own) {
+                Some(to) if to.total < at.total => at = to,
+                _ => break,
+            }
+        }
+        at
     }
 
     pub(super) fn linearise(
@@ -246,29 +203,6 @@ impl<'a> Measured<'a> {
         }
         self.aim(&mut system, nuisances, steps);
         Some(system)
-    }
-
-    /// What slopes are taken with: the model with each of its values moved, and as it is.
-    fn job<'b>(&self, fitted: &Fitted<'_>, values: &'b [f64]) -> Option<Job<'b>> {
-        let own_numbers = values.len() - COMMON;
-        let mut moved = Vec::new();
-        for j in 0..if fitted.moving { own_numbers } else { 0 } {
-            let (free, mut at) = (&fitted.free[j], values.to_vec());
-            let mut h = 1e-3 * free.scale;
-            if at[j] + h > free.bounds.1 {
-                h = -h;
-            }
-            at[j] += h;
-            let mut spec = fitted.spec.clone();
-            // A number that cannot be moved has no slope.
-            let specimens = fitted.numbers.put(&at, &mut spec).then(|| self.specimens(&spec)).flatten();
-            moved.push(match specimens {
-                Some(specimens) => Moved { specimens, h },
-                None => Moved { specimens: self.specimens(&fitted.spec)?, h },
-            });
-        }
-        let exact = is_piecewise_linear(&fitted.spec);
-        Some(Job { values, moving: fitted.moving, moved, own: self.specimens(&fitted.spec)?, exact })
     }
 
     /// A step's information on the values that move, its nuisances eliminated, and what is needed to find those again.
@@ -336,7 +270,7 @@ impl<'a> Measured<'a> {
     /// The fit as the rest of the diagnosis knows fits: the model's numbers and the zero, everything else eliminated.
     pub fn refit(&self, start: &ModelSpec, numbers: &Numbers, laid: &Laid, colour: f64) -> Refit {
         let free = self.free(numbers, 0.0);
-        let kept = laid.values.len() - COMMON + 1;
+        let kept = self.of_model(&laid.values) + 1;
         let fit = |values: &[f64], information: DMatrix<f64>| least_squares::Fit {
             values: values.to_vec(),
             residual_sum: laid.cost,
@@ -382,18 +316,15 @@ pub(super) struct Fitted<'b> {
     pub(super) moving: bool,
 }
 
-struct Job<'b> {
-    values: &'b [f64],
-    moving: bool,
-    moved: Vec<Moved>,
-    own: Specimens,
-    /// Without error-controlled steps.
-    exact: bool,
-}
-
-struct Moved {
-    specimens: Specimens,
-    h: f64,
+/// Where a fit stands.
+struct At<'b> {
+    spec: ModelSpec,
+    values: Vec<f64>,
+    nuisances: Vec<Nuisances>,
+    steps: Vec<Step<'b>>,
+    cost: f64,
+    /// With the priors.
+    total: f64,
 }
 
 /// Normal equations with the nuisances of each step eliminated, and what is needed to find those again.

@@ -1,7 +1,7 @@
 //! Jumps of the acceleration, where a damped contact begins or friction turns: spread over the samples beside them in a simulation, and
 //! left out of the sums, where the record or a fitted response has them. Called by every simulation and once by the search.
 
-use super::{COMMON, Laid, Measured, Simulated, Specimens};
+use super::{Laid, Measured, Simulated, Specimens};
 use crate::identify::problem::Part;
 use crate::model::ModelSpec;
 
@@ -44,9 +44,9 @@ impl Measured<'_> {
         let Some(mut specimens) = self.specimens(spec) else { return false };
         let mut counts = self.counts.clone();
         for (part, laid) in laid {
-            let zero_m = laid.values[laid.values.len() - COMMON];
             for (k, own) in self.windows(part).iter().zip(&laid.nuisances) {
                 let window = &self.motion.windows[*k];
+                let zero_m = self.common(&laid.values, window)[0];
                 let mut sampled = self.sampled(&mut specimens, window, zero_m, own);
                 let simulated = sampled.simulated.clone();
                 sampled.spread(&specimens, self.motion.sample_rate_hz);

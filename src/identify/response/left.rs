@@ -1,6 +1,6 @@
 //! What a model laid against the record leaves: structure, colour, and errors step by step.
 
-use super::{COMMON, Laid, Measured, Nuisances, Step, robust};
+use super::{Laid, Measured, Nuisances, Step, robust};
 use crate::identify::least_squares::dot;
 use crate::identify::problem::{OutputError, Part};
 use crate::model::ModelSpec;
@@ -25,9 +25,10 @@ impl Measured<'_> {
     /// Errors of A and D step by step with what is estimated beside the model taken out, samples beside jumps left out; each with
     /// the number of its window.
     pub fn errors(&self, spec: &ModelSpec, part: Part, laid: &Laid) -> Option<Vec<(usize, OutputError)>> {
-        let (motion, common) = (self.motion, &laid.values[laid.values.len() - COMMON..]);
+        let motion = self.motion;
         let (_, steps) = self.lay(spec, part, &laid.values, &laid.nuisances)?;
         let of = |((step, own), k): ((&Step<'_>, &Nuisances), &usize)| {
+            let common = self.common(&laid.values, step.window);
             let misfit = self.misfit(step.window, &step.simulated, common, own);
             let (of_a, of_d) = misfit.split_at(step.simulated.len());
             let laser = &motion.laser_m[step.window.range.clone()];

@@ -5,6 +5,7 @@
 //! error method: Jategaonkar, Flight Vehicle System Identification, 2006, ch. 4; nuisances are eliminated step by step from
 //! the normal equations, Golub and Pereyra 1973). Diagnosis decides by it wherever a base record drives a simulation.
 
+mod columns;
 mod descent;
 mod jumps;
 mod left;
@@ -38,7 +39,7 @@ const SAMPLES: usize = 120_000;
 const LONG: usize = 360_000;
 /// Standard deviation of the time between the table's channel and the others, in samples.
 const LAG: f64 = 0.3;
-/// Numbers beyond the model's: zero of the displacement sensor, leak, lag, gains of the displacement sensor and of the
+/// Numbers beyond the model's of each record: zero of the displacement sensor, leak, lag, gains of the displacement sensor and of the
 /// accelerometers, as far as the kinematics leave them open.
 const COMMON: usize = 5;
 /// Nuisances of every step that take a simulation to follow: start displacement and velocity, amplitude, time and frequency of what
@@ -87,7 +88,7 @@ pub type Nuisances = Vec<f64>;
 /// A model laid against the steps of a part.
 #[derive(Clone, Debug)]
 pub struct Laid {
-    /// Model's numbers, zero (m), leak, lag (s), gains of the displacement sensor and of the accelerometers less 1.
+    /// Model's numbers, then of each record zero (m), leak, lag (s), gains of the displacement sensor and of the accelerometers less 1.
     pub values: Vec<f64>,
     nuisances: Vec<Nuisances>,
     /// Twice the negative logarithm of the likelihood but for a constant: squares in units of the noise, in steps far from
@@ -187,21 +188,41 @@ impl<'a> Measured<'a> {
     /// The numbers of a fit with what is common to all steps.
     fn free(&self, numbers: &Numbers, zero_m: f64) -> Vec<Free> {
         let mut free = with_zero(numbers, zero_m, self.zero_sigma_m);
-        for (key, sigma) in [
-            ("leak", self.leak_sigma),
-            ("lag", LAG * self.motion.dt_s()),
-            ("gain of the displacement sensor", self.gain_sigmas[0]),
-            ("gain of the accelerometers", self.gain_sigmas[1]),
-        ] {
-            free.push(Free {
-                key: key.into(),
-                start: 0.0,
-                scale: sigma,
-                prior: (0.0, sigma),
-                bounds: (-20.0 * sigma, 20.0 * sigma),
-            });
+        let of_record = free.split_off(free.len() - 1);
+        for _ in 0..self.records() {
+            free.extend(of_record.iter().cloned());
+            free.extend(
+                [
+                    ("leak", self.leak_sigma),
+                    ("lag", LAG * self.motion.dt_s()),
+                    ("gain of the displacement sensor", self.gain_sigmas[0]),
+                    ("gain of the accelerometers", self.gain_sigmas[1]),
+                ]
+                .map(|(key, sigma)| Free {
+                    key: key.into(),
+                    start: 0.0,
+                    scale: sigma,
+                    prior: (0.0, sigma),
+                    bounds: (-20.0 * sigma, 20.0 * sigma),
+                }),
+            );
         }
         free
+    }
+
+    fn records(&self) -> usize {
+        self.motion.sources.len().max(1)
+    }
+
+    /// How many values are the model's numbers.
+    fn of_model(&self, values: &[f64]) -> usize {
+        values.len() - COMMON * self.records()
+    }
+
+    /// What is common to all steps of a window's record.
+    fn common<'v>(&self, values: &'v [f64], window: &Window) -> &'v [f64] {
+        let first = self.of_model(values) + COMMON * window.source;
+        &values[first..first + COMMON]
     }
 
     /// Residuals of a step that count.
@@ -389,13 +410,12 @@ impl<'a> Measured<'a> {
         values: &[f64],
         nuisances: &[Nuisances],
     ) -> Option<(f64, Vec<Step<'a>>)> {
-        let common = &values[values.len() - COMMON..];
         let each: Vec<(&usize, &Nuisances)> = self.windows(part).iter().zip(nuisances).collect();
         let laid = parallel::map_with(
             &each,
             TOGETHER,
             || self.specimens(spec),
-            |specimens, (k, own)| self.lay_one(specimens, **k, common, own),
+            |specimens, (k, own)| self.lay_one(specimens, **k, values, own),
         )?;
         let cost = laid.iter().map(|(of_step, _)| of_step).sum();
         Some((cost, laid.into_iter().map(|(_, step)| step).collect()))
@@ -406,10 +426,11 @@ impl<'a> Measured<'a> {
         &self,
         specimens: &mut Specimens,
         k: usize,
-        common: &[f64],
+        values: &[f64],
         own: &[f64],
     ) -> Option<(f64, Step<'a>)> {
         let window = &self.motion.windows[k];
+        let common = self.common(values, window);
         let simulated = self.simulate(specimens, window, common[0], own);
         let residuals = self.residuals(window, &simulated, common, own);
         let chi2 = dot(&residuals, &residuals);

@@ -2,7 +2,7 @@
 //! search for every start of every effect.
 
 use super::descent::{Eliminated, Fitted};
-use super::{COMMON, HUBER, Laid, Measured, Nuisances, Specimens, Step};
+use super::{HUBER, Laid, Measured, Nuisances, Specimens, Step};
 use crate::identify::least_squares::dot;
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
@@ -66,14 +66,15 @@ impl<'a> Measured<'a> {
         let scaled = DMatrix::from_fn(free.len(), free.len(), |i, j| normal[(i, j)] * scale[i] * scale[j]);
         let inverse = scaled.cholesky()?.inverse();
         let inverse = DMatrix::from_fn(free.len(), free.len(), |i, j| inverse[(i, j)] * scale[i] * scale[j]);
-        let common = &laid.values[laid.values.len() - COMMON..];
-        let misfit =
-            |(step, own): (&Step<'_>, &Vec<f64>)| self.misfit(step.window, &step.simulated, common, own);
+        let misfit = |(step, own): (&Step<'_>, &Vec<f64>)| {
+            self.misfit(step.window, &step.simulated, self.common(&laid.values, step.window), own)
+        };
         let own: Vec<_> = steps.iter().zip(&laid.nuisances).map(misfit).collect();
         let mut general = own.clone();
         if is_piecewise_linear(spec) {
             let mut specimens = self.specimens(&with_nothing(spec))?;
             for ((step, own), general) in steps.iter().zip(&laid.nuisances).zip(&mut general) {
+                let common = self.common(&laid.values, step.window);
                 let simulated = self.simulate(&mut specimens, step.window, common[0], own);
                 *general = self.misfit(step.window, &simulated, common, own);
             }
@@ -128,12 +129,12 @@ impl Tangent<'_, '_> {
     /// Change that an effect as given makes, as [`Score::change`], by some of the steps.
     pub fn change(&self, with: &ModelSpec) -> Option<f64> {
         let measured = &self.measured;
-        let common = &self.laid.values[self.laid.values.len() - COMMON..];
+        let values = &self.laid.values;
         let misfits = &self.misfits[usize::from(!is_piecewise_linear(with))];
         let mut specimens = measured.specimens(with)?;
         let (mut power, mut count) = (0.0, 0usize);
         for k in (0..self.steps.len()).step_by(GLANCE) {
-            let changed = self.changed(&mut specimens, k, common, &self.laid.nuisances[k], &misfits[k]);
+            let changed = self.changed(&mut specimens, k, values, &self.laid.nuisances[k], &misfits[k]);
             power += self.own[k].weight * dot(&changed, &changed);
             count += changed.len();
         }
@@ -145,11 +146,12 @@ impl Tangent<'_, '_> {
         &self,
         specimens: &mut Specimens,
         k: usize,
-        common: &[f64],
+        values: &[f64],
         nuisances: &[f64],
         before: &[f64],
     ) -> Vec<f64> {
         let window = self.steps[k].window;
+        let common = self.measured.common(values, window);
         let simulated = self.measured.simulate(specimens, window, common[0], nuisances);
         let mut changed = self.measured.misfit(window, &simulated, common, nuisances);
         changed.iter_mut().zip(before).for_each(|(c, r)| *c -= r);
@@ -164,7 +166,6 @@ impl Tangent<'_, '_> {
             spec = self.numbers.moved(spec, &score.followed, 1.0)?;
             values.iter_mut().zip(&score.followed).for_each(|(x, by)| *x += by);
         }
-        let common = &values[values.len() - COMMON..];
         let mut specimens = measured.specimens(&spec)?;
         let (mut square, mut slope) = (0.0, 0.0);
         let (mut power, mut count) = (0.0, 0usize);
@@ -177,7 +178,7 @@ impl Tangent<'_, '_> {
             if let Some(score) = moved {
                 nuisances.iter_mut().zip(&score.beside[k]).for_each(|(x, by)| *x += by);
             }
-            let mut changed = self.changed(&mut specimens, k, common, &nuisances, &misfits[k]);
+            let mut changed = self.changed(&mut specimens, k, &values, &nuisances, &misfits[k]);
             let large =
                 step.residuals[..step.simulated.len()].iter().enumerate().filter(|(_, r)| r.abs() > HUBER);
             large.for_each(|(i, r)| changed[i] *= HUBER / r.abs());
