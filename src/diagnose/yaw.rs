@@ -19,6 +19,8 @@ const WIDE: f64 = 0.12;
 const SHRINKS: f64 = 0.8;
 /// Largest damping ratio.
 const MOST_DAMPED: f64 = 0.9;
+/// Rounds in which the weights of the bins follow the mode.
+const REWEIGHED: usize = 3;
 /// Steps of Gauss-Newton at most, and how often one is halved.
 const GAUSS_NEWTON: usize = 30;
 const HALVED: i32 = 6;
@@ -116,28 +118,46 @@ impl Spectra {
         Some(Self { difference, mean, table, bins, noise_of_a_bin })
     }
 
-    /// Difference = gain of mean + leak of table (real constants) + strength of the mode's share of the mean.
+    /// Difference = gain of mean + leak of table (real constants) + strength of the mode's share of the mean. The mean is as noisy as
+    /// the difference: a bin weighs as much less as the mode amplifies that (errors in both: Deming 1943).
     fn fit(&self, mode: Option<Mode>) -> Fitted {
-        let mut normal = Matrix3::<f64>::zeros();
-        let mut right = Vector3::<f64>::zeros();
-        let mut power = 0.0;
-        for &b in &self.bins {
-            let w = self.difference.omega_rad_s(b);
-            let h = mode.map_or(Complex64::ZERO, |mode| Complex64::from(w * w) / below(mode, w));
-            let columns = [self.mean.bins[b], self.table.bins[b], h * self.mean.bins[b]];
-            for i in 0..3 {
-                for j in 0..3 {
-                    normal[(i, j)] += (columns[i].conj() * columns[j]).re;
+        let mut x = [0.0; 3];
+        for _ in 0..REWEIGHED {
+            let mut normal = Matrix3::<f64>::zeros();
+            let mut right = Vector3::<f64>::zeros();
+            for &b in &self.bins {
+                let h = self.mode(mode, b);
+                let weight = 1.0 / (1.0 + (h * x[2] + x[0]).norm_sqr());
+                let columns = [self.mean.bins[b], self.table.bins[b], h * self.mean.bins[b]];
+                for i in 0..3 {
+                    for j in 0..3 {
+                        normal[(i, j)] += weight * (columns[i].conj() * columns[j]).re;
+                    }
+                    right[i] += weight * (columns[i].conj() * self.difference.bins[b]).re;
                 }
-                right[i] += (columns[i].conj() * self.difference.bins[b]).re;
             }
-            power += self.difference.bins[b].norm_sqr();
+            for i in 0..3 {
+                normal[(i, i)] += 1e-12 * normal[(0, 0)].max(1e-300);
+            }
+            x = normal.cholesky().map(|c| c.solve(&right)).unwrap_or_default().into();
         }
-        for i in 0..3 {
-            normal[(i, i)] += 1e-12 * normal[(0, 0)].max(1e-300);
-        }
-        let x = normal.cholesky().map(|c| c.solve(&right)).unwrap_or_default();
-        (power - x.dot(&right), [x[0], x[1], x[2]])
+        (self.left(mode, x), x)
+    }
+
+    /// A mode's response at a bin, that of none nothing.
+    fn mode(&self, mode: Option<Mode>, bin: usize) -> Complex64 {
+        let w = self.difference.omega_rad_s(bin);
+        mode.map_or(Complex64::ZERO, |mode| Complex64::from(w * w) / below(mode, w))
+    }
+
+    /// Power that gain, leak and strength leave, each bin by its weight.
+    fn left(&self, mode: Option<Mode>, x: [f64; 3]) -> f64 {
+        let of = |&b: &usize| {
+            let of_mean = self.mode(mode, b) * x[2] + x[0];
+            let left = self.difference.bins[b] - of_mean * self.mean.bins[b] - self.table.bins[b] * x[1];
+            left.norm_sqr() / (1.0 + of_mean.norm_sqr())
+        };
+        self.bins.iter().map(of).sum()
     }
 
     /// The best mode of a coarse search over all frequencies.
@@ -169,7 +189,7 @@ impl Spectra {
         best
     }
 
-    /// Frequency and damping pull on each other and on the strength: Gauss-Newton steps, halved where they lead astray.
+    /// Frequency and damping pull on each other and on the strength: Gauss-Newton steps of all, halved where they lead astray.
     fn refined(&self, mut best: (Mode, Fitted)) -> (Mode, Fitted) {
         for _ in 0..GAUSS_NEWTON {
             let ((w0, zeta), (before, x)) = best;
@@ -179,8 +199,9 @@ impl Spectra {
             let better = (0..HALVED).map(|k| 0.5_f64.powi(k)).find_map(|share| {
                 let times = |i: usize| (share * step[i]).clamp(-1.0, 1.0).exp();
                 let mode = (w0 * times(3), (zeta * times(4)).min(MOST_DAMPED));
-                let fitted = self.fit(Some(mode));
-                (fitted.0 < before).then_some((mode, fitted))
+                let x = [0, 1, 2].map(|i| x[i] + share * step[i]);
+                let left = self.left(Some(mode), x);
+                (left < before).then_some((mode, (left, x)))
             });
             let Some(better) = better else { break };
             best = better;
@@ -203,13 +224,17 @@ impl Spectra {
             let along_w0 = -h * Complex64::new(2.0 * w0 * w0, 2.0 * zeta * w0 * w) / below;
             let along_zeta = -h * Complex64::new(0.0, 2.0 * zeta * w0 * w) / below;
             let of_mean = [Complex64::ONE, Complex64::ZERO, h, x[2] * along_w0, x[2] * along_zeta];
-            let mut slopes = of_mean.map(|of_mean| of_mean * self.mean.bins[b]);
+            let mut slopes = of_mean.map(|of| of * self.mean.bins[b]);
             slopes[1] = self.table.bins[b];
             let left = self.difference.bins[b] - slopes[0] * x[0] - slopes[1] * x[1] - slopes[2] * x[2];
+            // The weight follows, too.
+            let all = h * x[2] + x[0];
+            let weight = 1.0 / (1.0 + all.norm_sqr());
             for i in 0..5 {
-                pull[i] += (slopes[i].conj() * left).re;
+                let of_weight = if i == 1 { 0.0 } else { (all.conj() * of_mean[i]).re };
+                pull[i] += weight * ((slopes[i].conj() * left).re + of_weight * weight * left.norm_sqr());
                 for j in 0..5 {
-                    information[(i, j)] += (slopes[i].conj() * slopes[j]).re;
+                    information[(i, j)] += weight * (slopes[i].conj() * slopes[j]).re;
                 }
             }
         }
