@@ -107,6 +107,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let (own, of_effects) = (base_intervals(&found, &case), effect_intervals(&found, &case));
             if verbose {
                 tell_numbers(&found, &case);
+                tell_effects(&found, &case);
             }
             own.into_iter().for_each(|(key, off)| deviations.entry(key).or_default().push(off));
             of_effects.into_iter().for_each(|inside| effect.count(inside));
@@ -228,6 +229,24 @@ fn tell_numbers(found: &Diagnosis, case: &Hidden) {
         let (value, half) = (number.value, 0.5 * (number.high95 - number.low95));
         if let Ok(truth) = case.truth.get(&number.key) {
             println!("\t\t{} {value:.6e} +- {half:.1e}, is {truth:.6e} ({:+.1e})", number.key, value - truth);
+        }
+    }
+}
+
+/// The same of the effects' own, with how many standard deviations they are off where an interval is symmetric.
+fn tell_effects(found: &Diagnosis, case: &Hidden) {
+    for named in &found.effects {
+        let Some(hidden) = case.truth.effects.iter().find(|effect| effect.name == named.name) else {
+            continue;
+        };
+        for (name, p) in &named.parameters {
+            if let Some(truth) = hidden.parameters.get(name) {
+                let off = 3.92 * (p.value - truth) / (p.high95 - p.low95);
+                println!(
+                    "\t\t{}.{name} {:.4e} ({:.4e} to {:.4e}), is {truth:.4e} ({off:+.1} standard deviations)",
+                    named.name, p.value, p.low95, p.high95
+                );
+            }
         }
     }
 }

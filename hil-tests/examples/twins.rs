@@ -20,11 +20,13 @@ fn twins() -> Vec<&'static str> {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let (mut seeds, mut size, mut only) = (0..20u64, 0.02, None);
+    let (mut seeds, mut size, mut only, mut at_random, mut tell) = (0..20u64, 0.02, None, true, false);
     arguments::each(std::env::args().skip(1), |word, value| {
         match word {
             "--seeds" => seeds = arguments::seeds(&value)?,
             "--size" => size = value.parse()?,
+            "--told" => tell = value.parse()?,
+            "--random" => at_random = value.parse()?,
             "--only" => {
                 let twin = twins().into_iter().find(|name| *name == value);
                 only = Some(twin.ok_or_else(|| format!("{value} is none of {}", twins().join(", ")))?);
@@ -49,14 +51,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
         ambiguous += 1;
         let first = told(&found);
-        let (by_proposal, of_proposal) = decided(&case, effect, found.clone(), seed, |found, _| {
+        let (by_proposal, of_proposal) = decided(&case, effect, found.clone(), seed, tell, |found, _| {
             found.next_test.as_ref().and_then(|test| test.sweep.clone())
         })?;
         let mut dice = Pcg64::seed_from_u64(seed ^ 0xd1ce);
-        let (by_chance, of_chance) = decided(&case, effect, found, seed, |_, case| {
-            let all = next_test::possible(&case.nominal, &reach(case));
-            Some(all[dice.random_range(0..all.len())].clone())
-        })?;
+        let (by_chance, of_chance) = if at_random {
+            decided(&case, effect, found, seed, tell, |_, case| {
+                let all = next_test::possible(&case.nominal, &reach(case));
+                Some(all[dice.random_range(0..all.len())].clone())
+            })?
+        } else {
+            (false, " not asked".to_owned())
+        };
         proposed += usize::from(by_proposal);
         random += usize::from(by_chance);
         println!("{seed}\t{effect}\t{first}\tproposed: {of_proposal}\tat random: {of_chance}");
@@ -78,6 +84,7 @@ fn decided(
     effect: &str,
     mut found: Diagnosis,
     seed: u64,
+    tell: bool,
     mut choose: impl FnMut(&Diagnosis, &Hidden) -> Option<SweepProposal>,
 ) -> Result<(bool, String), Box<dyn std::error::Error>> {
     let mut way = String::new();
@@ -102,6 +109,9 @@ fn decided(
         added.push(again);
         let all: Vec<&Hidden> = std::iter::once(case).chain(&added).collect();
         found = together(&all)?;
+        if tell {
+            found.refused.iter().for_each(|refused| println!("\t\t{}: {}", refused.name, refused.reason));
+        }
         way += &format!(" {}", told(&found));
     }
     let right = found.verdict == Verdict::Missing && found.effects.first().is_some_and(|e| e.name == effect);
@@ -110,7 +120,13 @@ fn decided(
 
 fn told(found: &Diagnosis) -> String {
     let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
-    format!("{} [{}] ~[{}]", found.verdict.name(), named.join(", "), found.ambiguous_with.join(", "))
+    let next = found.next_test.as_ref().map_or_else(String::new, |test| {
+        format!(
+            " (next: {:.1} nats expected, {:.2} times the noise)",
+            test.expected_nats, test.expected_discrimination
+        )
+    });
+    format!("{} [{}] ~[{}]{next}", found.verdict.name(), named.join(", "), found.ambiguous_with.join(", "))
 }
 
 /// What the rig of the study can do.
@@ -126,5 +142,6 @@ fn reach(case: &Hidden) -> Reach {
         tried_hz: (0.6, 3.75),
         noise_m_s2: 0.01,
         laser_noise_m: 30e-6,
+        rate_hz: case.record.sample_rate_hz,
     }
 }

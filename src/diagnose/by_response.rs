@@ -3,7 +3,7 @@
 
 use super::candidates;
 use super::search::{Searcher, Stage, best_first};
-use super::trial::{self, Response, Trial};
+use super::trial::{self, Trial};
 use super::verdict;
 use crate::identify::least_squares::Settings;
 use crate::identify::numbers::Numbers;
@@ -33,11 +33,6 @@ const ANOTHER: f64 = 0.3;
 /// one's.
 const WORTH: f64 = 4.0;
 const SHARE: f64 = 0.05;
-/// Median over the steps of the mean square over the noise above which a model is too far off for first order.
-const FAR: f64 = 1.15;
-/// The same of the covariance of neighbouring residuals, and of how many count as one.
-const STRUCTURED: f64 = 0.01;
-const COLOURED: f64 = 1.3;
 /// Nats by which the base model has to do better when it is fitted again.
 const BETTER: f64 = 2.0;
 /// Nats that a simpler effect beside the one that contains it has to bring.
@@ -133,8 +128,7 @@ impl Searcher<'_> {
         let mut effects = self.candidates(spec);
         effects.retain(|effect| effect.name != *one);
         // Without the first, much is left: the force sorts out.
-        let far = second.response.as_ref().is_some_and(is_far);
-        let settled = if far { self.settled(&second) } else { None };
+        let settled = if second.is_far() { self.settled(&second) } else { None };
         let mut by_force = settled.map_or(Vec::new(), |settled| self.screen(&settled, &effects, &scales));
         by_force.truncate(SCORED);
         stage.finalists.extend(self.by_response(measured, &second, &by_force, &effects, &scales));
@@ -186,7 +180,7 @@ impl Searcher<'_> {
         if !from.names.is_empty() && best < WORTH {
             return Vec::new();
         }
-        let far = is_far(response);
+        let far = from.is_far();
         let worth = (SHARE * best).max(if far { 0.0 } else { WORTH });
         let by_force = if far { by_force } else { &[] };
         let mut effects: Vec<String> = Vec::new();
@@ -247,7 +241,8 @@ impl Searcher<'_> {
         best_first(&mut finalists, from);
         // A way from far off takes longer.
         if let Some(best) = finalists.first_mut()
-            && let Some(response) = best.response.as_ref().filter(|response| is_far(response))
+            && best.is_far()
+            && let Some(response) = &best.response
             && let Some(arrived) = trial::respond(measured, best, Some(&response.training), FURTHER_ON)
             && verdict::apart(&arrived, best) > 0.0
         {
@@ -302,11 +297,6 @@ impl Searcher<'_> {
         *names.last_mut()? = "stribeck-friction".into();
         trial::respond(measured, &Trial { names, refit, ..best.clone() }, None, FURTHER_ON)
     }
-}
-
-/// Whether a model is too far off for first order.
-pub(super) fn is_far(response: &Response) -> bool {
-    response.left[0].median > FAR || response.excess() > STRUCTURED || response.colour() > COLOURED
 }
 
 /// What a start brings, made fainter where it is too much for first order and may be.

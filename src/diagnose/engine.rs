@@ -312,7 +312,8 @@ impl Composer<'_> {
             .or_else(|| finalists.iter().find(|t| own(t) != verdict::own_name(chosen, t)));
         let rival = rival?;
         let first = (verdict::own_name(chosen, rival), own(rival));
-        next_test::propose((&first.0, &chosen.refit), (&first.1, &rival.refit), &reach)
+        let enough = self.options.thresholds.tie;
+        next_test::propose((&first.0, &chosen.refit), (&first.1, &rival.refit), &reach, enough)
     }
 
     /// What the rig can do, beside what it did.
@@ -334,6 +335,7 @@ impl Composer<'_> {
             tried_hz: (low, high),
             noise_m_s2: self.motion.restoring_noise_m_s2,
             laser_noise_m: self.motion.laser_noise_m,
+            rate_hz: 1.0 / self.motion.dt_s(),
         })
     }
 

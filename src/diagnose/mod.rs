@@ -4,6 +4,7 @@
 pub mod adding;
 mod by_response;
 pub mod candidates;
+pub mod discrimination;
 pub mod engine;
 pub mod instruments;
 pub mod live;

@@ -1,9 +1,11 @@
-//! The test that would part two explanations: among what the rig can do, the one in which the
-//! rivals' simulated responses differ most against the noise.
+//! The test that would part two explanations: among what the rig can do, the one that leaves most between the rivals when the
+//! wrong one is fitted again.
 
+use super::discrimination::{self, Expected, Rival};
 use crate::identify::refit::Refit;
 use crate::identify::together::Setting;
-use crate::model::{self, ModelSpec};
+use crate::model::ModelSpec;
+use crate::parallel;
 use crate::sweep::SweepSpec;
 use crate::units::STANDARD_GRAVITY_M_S2;
 use serde::{Deserialize, Serialize};
@@ -18,6 +20,9 @@ pub struct NextTest {
     pub reason: String,
     /// RMS difference of the rivals' A and D, each over its noise, expected; zero for tests that are not a sweep.
     pub expected_discrimination: f64,
+    /// Difference of log-likelihood that the test is expected to leave between the rivals, nats, the wrong one fitted again.
+    #[serde(default)]
+    pub expected_nats: f64,
     /// The sweep to run, when it is one (keys as in a sweep file).
     pub sweep: Option<SweepProposal>,
 }
@@ -102,13 +107,17 @@ pub struct Reach {
     pub noise_m_s2: f64,
     /// Noise of the laser, m rms.
     pub laser_noise_m: f64,
+    /// Samples a second.
+    pub rate_hz: f64,
 }
 
 /// Stroke (m), velocity (m/s) and acceleration (m/s2) of the paper's table.
 pub const PAPERS_TABLE: (f64, f64, f64) = (0.20, 0.5, 5.9);
 
-/// What a laser's zero is good to, m.
-const LASER_ZERO_M: f64 = 20e-6;
+/// So many of the tests in which the rivals differ most are looked at with the wrong one fitted again.
+const LOOKED_AT: usize = 24;
+/// So many of the best of those are, not to first order alone.
+const FITTED: usize = 8;
 
 /// What else parts a stand from a softer bumper.
 const STAND: &str = "; an accelerometer on the stand tells, too: a softer bumper does not move its stand";
@@ -137,33 +146,55 @@ fn known(a: &str, b: &str) -> Option<(&'static str, &'static str)> {
 }
 
 /// Proposes the test that best parts the fitted rivals.
-pub fn propose(first: (&str, &Refit), second: (&str, &Refit), reach: &Reach) -> Option<NextTest> {
+///
+/// `enough` nats between two explanations decide.
+pub fn propose(
+    first: (&str, &Refit),
+    second: (&str, &Refit),
+    reach: &Reach,
+    enough: f64,
+) -> Option<NextTest> {
     if let Some((title, reason)) = known(first.0, second.0) {
         return Some(NextTest {
             title: title.to_owned(),
             reason: reason.to_owned(),
             expected_discrimination: 0.0,
+            expected_nats: 0.0,
             sweep: None,
         });
     }
-    let mut best: Option<NextTest> = None;
-    for proposal in possible(&first.1.spec, reach) {
-        let Some(difference) = separation(&first.1.spec, &second.1.spec, &proposal, reach) else { continue };
-        if best.as_ref().is_none_or(|b| difference > b.expected_discrimination) {
-            best = Some(NextTest {
-                title: describe(&proposal),
-                reason: format!(
-                    "{} and {} then differ by {difference:.1} times the noise of A and D (rms){}",
-                    first.0,
-                    second.0,
-                    if [first.0, second.0].contains(&"stand-compliance") { STAND } else { "" }
-                ),
-                expected_discrimination: difference,
-                sweep: Some(proposal),
-            });
-        }
-    }
-    best
+    let (a, b) = (Rival::new(first.1), Rival::new(second.1));
+    let tests = possible(&first.1.spec, reach);
+    let far = |test: &SweepProposal| discrimination::difference(&a, &b, test, reach);
+    let at_a_glance = |test: &SweepProposal| discrimination::expected(&a, &b, test, reach, true);
+    let fitted = |test: &SweepProposal| discrimination::expected(&a, &b, test, reach, false);
+    let best = |tests: Vec<SweepProposal>, most, of: &(dyn Fn(&SweepProposal) -> Option<Expected> + Sync)| {
+        let expected = parallel::map(&tests, parallel::cores(), of);
+        let mut found: Vec<_> =
+            expected.into_iter().zip(tests).filter_map(|(expected, test)| Some((expected?, test))).collect();
+        found.sort_by(|a, b| b.0.nats.total_cmp(&a.0.nats));
+        found.truncate(most);
+        found
+    };
+    let alone = |found: Vec<(Expected, SweepProposal)>| found.into_iter().map(|(_, test)| test).collect();
+    let differing = alone(best(tests, LOOKED_AT, &far));
+    let promising = alone(best(differing, FITTED, &at_a_glance));
+    let found = best(promising, 1, &fitted);
+    let (Expected { difference, nats }, sweep) = found.into_iter().next()?;
+    let stand = if [first.0, second.0].contains(&"stand-compliance") { STAND } else { "" };
+    Some(NextTest {
+        title: describe(&sweep),
+        reason: format!(
+            "{} and {} as they are fitted then differ by {difference:.1} times the noise of A and D (rms); with the wrong one \
+             fitted again, {nats:.0} nats are expected between them, {}{stand}",
+            first.0,
+            second.0,
+            if nats > enough { "which decides" } else { "which may not decide yet" },
+        ),
+        expected_discrimination: difference,
+        expected_nats: nats,
+        sweep: Some(sweep),
+    })
 }
 
 fn describe(p: &SweepProposal) -> String {
@@ -214,34 +245,6 @@ pub fn possible(spec: &ModelSpec, reach: &Reach) -> Vec<SweepProposal> {
     out
 }
 
-/// RMS difference of A and D between two models over a proposed sweep, each in units of its noise.
-fn separation(a: &ModelSpec, b: &ModelSpec, p: &SweepProposal, reach: &Reach) -> Option<f64> {
-    let (a, b) = (p.setting(a).of(a), p.setting(b).of(b));
-    let amplitude = p.acceleration_g * STANDARD_GRAVITY_M_S2;
-    let (mut sum, mut count) = (0.0, 0_u32);
-    // Mounted anew, the laser has another zero.
-    let laser_m = reach.laser_noise_m.hypot(LASER_ZERO_M).max(1e-300);
-    let noise_m_s2 = reach.noise_m_s2.max(1e-300);
-    for i in 0..5 {
-        let f = p.start_hz + (p.stop_hz - p.start_hz) * f64::from(i) / 4.0;
-        let dt = 1.0 / (200.0 * f);
-        let (mut one, mut two) = (model::build(&a, dt).ok()?, model::build(&b, dt).ok()?);
-        one.reset();
-        two.reset();
-        for n in 1..=200 * 8 {
-            let input = amplitude * (TAU * f * f64::from(n) * dt).sin();
-            let (x, y) = (one.step(input), two.step(input));
-            if n > 200 * 5 {
-                sum += ((x.mass_acceleration_m_s2 - y.mass_acceleration_m_s2) / noise_m_s2).powi(2)
-                    + ((x.relative_displacement_m - y.relative_displacement_m) / laser_m).powi(2);
-                count += 1;
-            }
-        }
-    }
-    let rms = (0.5 * sum / f64::from(count.max(1))).sqrt();
-    rms.is_finite().then_some(rms)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -261,6 +264,7 @@ mod tests {
             title: "sweep".into(),
             reason: "they differ".into(),
             expected_discrimination: 3.0,
+            expected_nats: 40.0,
             sweep: Some(proposal.clone()),
         };
         let whole = serde_json::json!({ "verdict": "ambiguous", "next_test": test });

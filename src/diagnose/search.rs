@@ -1,6 +1,6 @@
 //! The search for what is missing: base re-fitted, candidates one by one, then in combination.
 
-use super::by_response::{first_of_each, is_far};
+use super::by_response::first_of_each;
 use super::candidates;
 use super::trial::{self, Trial};
 use super::verdict::{self, Thresholds};
@@ -214,7 +214,7 @@ impl<'a> Searcher<'a> {
         let Some(base) = self.settled(from) else {
             return Stage { finalists: Vec::new(), screened: Vec::new(), by_force: known };
         };
-        let near = from.response.as_ref().is_some_and(|response| !is_far(response));
+        let near = from.response.is_some() && !from.is_far();
         let mut best = match (near, known.is_empty()) {
             (true, _) => Vec::new(),
             (false, true) => self.screen(&base, &effects, &scales),
@@ -397,9 +397,9 @@ impl<'a> Searcher<'a> {
                 (search.base, from) = (base.clone(), base);
             }
             // Where the best leaves much.
-            let far = |best: &Trial| best.response.as_ref().is_some_and(is_far);
-            let far = stage.finalists.first().is_none_or(far);
-            if far && let Some(back) = self.brought_back(&from) {
+            if stage.finalists.first().is_none_or(Trial::leaves_much)
+                && let Some(back) = self.brought_back(&from)
+            {
                 stage.finalists.extend(self.stage_again(&back, stage.by_force.clone()).finalists);
                 best_first(&mut stage.finalists, &from);
             }

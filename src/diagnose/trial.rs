@@ -27,6 +27,11 @@ pub struct Score {
 
 /// Everything is judged against the base model: its fit must not stop half-way.
 const BASE_ITERATIONS: usize = 30;
+/// Median over the steps of the mean square over the noise above which a model is too far off for first order, and covariance of
+/// neighbouring residuals; and how many of those count as one where much is left although neither says so.
+const FAR: f64 = 1.15;
+const STRUCTURED: f64 = 0.01;
+const COLOURED: f64 = 1.3;
 /// Stretches of [`Score::log_mean`].
 const STRETCHES: usize = 64;
 
@@ -154,6 +159,16 @@ impl Trial {
             return 0.5 * fall / with.colour().max(1.0);
         }
         0.5 * (from.objective - self.objective) / self.colour.max(1.0)
+    }
+
+    /// Whether its simulated response is too far off for first order.
+    pub fn is_far(&self) -> bool {
+        self.response.as_ref().is_some_and(|r| r.left[0].median > FAR || r.excess() > STRUCTURED)
+    }
+
+    /// The same, or residuals that are less than far off but hang together.
+    pub fn leaves_much(&self) -> bool {
+        self.is_far() || self.response.as_ref().is_some_and(|r| r.colour() > COLOURED)
     }
 
     /// Number of fitted values.

@@ -66,7 +66,7 @@ impl Default for Thresholds {
         Self {
             gain: [3.0, 24.0],
             response: [1.0, 6.0],
-            further: [7.5, 30.0],
+            further: [2.5, 10.0],
             shape: [20.0, 60.0],
             kicked: 5e-4,
             structure: 0.03,
