@@ -241,6 +241,22 @@ fn with_effect(
         };
         spec.parameters.insert(p.name.to_owned(), value);
     }
+    // Shapes that a model file may leave out, from numbers of their own.
+    let mut shape = Pcg64::seed_from_u64(random.clone().random::<u64>() ^ 0x05a9e);
+    match effect.name {
+        "bouc-wen-hysteresis" => {
+            let gamma: f64 = shape.random_range(0.0..0.6);
+            for (name, value) in
+                [("n", 2f64.powf(shape.random_range(0.0..1.0))), ("beta", 1.0 - gamma), ("gamma", gamma)]
+            {
+                spec.parameters.insert(name.to_owned(), value);
+            }
+        }
+        "stand-compliance" => {
+            spec.parameters.insert("zeta".to_owned(), shape.random_range(0.01..0.05));
+        }
+        _ => {}
+    }
     // A gain is off by the size itself.
     if effect.is_instrument()
         && let Some(gain) = spec.parameters.get_mut("gain")

@@ -9,7 +9,7 @@ use crate::identify::least_squares::Settings;
 use crate::identify::numbers::Numbers;
 use crate::identify::refit::Refit;
 use crate::identify::response::{Laid, Measured, Score, Tangent};
-use crate::model::effects::Effect;
+use crate::model::effects::{self, Effect};
 use crate::model::{EffectSpec, ModelSpec, Scales};
 use crate::parallel;
 
@@ -46,6 +46,8 @@ const ASTRAY: f64 = 5.0;
 const HELD: f64 = 0.01;
 /// How a fit goes on.
 const FURTHER_ON: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
+/// How the shape of an effect is fitted.
+const OF_SHAPE: Settings = Settings { iterations: 12, ..FURTHER_ON };
 /// Stribeck velocities that are tried beside Coulomb's friction, over the typical velocity; how much more than it breakaway takes; and
 /// nats to first order below which that is not fitted.
 const FALLS: [f64; 6] = [0.01, 0.03, 0.07, 0.15, 0.3, 0.6];
@@ -250,7 +252,46 @@ impl Searcher<'_> {
         }
         finalists.extend(self.falling(measured, finalists.first(), scales));
         best_first(&mut finalists, from);
+        self.shape(measured, &mut finalists, scales);
+        best_first(&mut finalists, from);
         finalists
+    }
+
+    /// Lets the shape of the last effect follow, too, where that pays: in those that may be the best then.
+    fn shape(&self, measured: &Measured<'_>, finalists: &mut [Trial], scales: &Scales) {
+        let Some(best) = finalists.first().cloned() else { return };
+        let reshaped = |trial: &Trial| -> Option<Trial> {
+            let shapes = candidates::shapes(&verdict::last_name(trial));
+            if shapes.is_empty() || verdict::apart(&best, trial) > HOPELESS {
+                return None;
+            }
+            let mut refit = trial.refit.clone();
+            let index = refit.spec.effects.len() - 1;
+            let effect = effects::find(&refit.spec.effects[index].name).ok()?;
+            for (name, _) in shapes {
+                let default = (effect.parameters)(scales).iter().find(|p| p.name == *name)?.default?;
+                refit.spec.effects[index].parameters.entry((*name).to_owned()).or_insert(default);
+            }
+            let own = format!("effect[{index}].");
+            refit.numbers.retain(|key| !key.starts_with(&own));
+            refit.numbers.add_effect(&refit.spec, index, scales);
+            for (name, (low, high)) in shapes {
+                let key = format!("{own}{name}");
+                let numbers = refit.numbers.numbers.iter().zip(&mut refit.numbers.free);
+                numbers.filter(|(number, _)| number.key == key).for_each(|(number, free)| {
+                    let of = |x: f64| if number.logarithmic { x.ln() } else { x };
+                    free.bounds = (of(*low), of(*high));
+                });
+            }
+            let shaped = trial::respond(measured, &Trial { refit, ..trial.clone() }, None, OF_SHAPE)?;
+            (verdict::apart(&shaped, trial) > WORTH).then_some(shaped)
+        };
+        let shaped = parallel::map(finalists, parallel::cores(), reshaped);
+        finalists.iter_mut().zip(shaped).for_each(|(of, shaped)| {
+            if let Some(shaped) = shaped {
+                *of = shaped;
+            }
+        });
     }
 
     /// One effect alone on top of a fitted model, a fit of it by force at hand.

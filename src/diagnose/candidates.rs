@@ -42,6 +42,17 @@ pub fn contained_in(name: &str) -> &'static [&'static str] {
     }
 }
 
+/// Numbers of an effect's shape that a model may leave out, those that no other number of it makes up for, with the limits within which
+/// it can be simulated: a fit begins without them.
+pub fn shapes(name: &str) -> &'static [(&'static str, (f64, f64))] {
+    match name {
+        // With a gamma of 1 and more, unloading takes the element farther out; with an n below 1 its slope has a cusp at rest.
+        "bouc-wen-hysteresis" => &[("n", (1.0, 5.0)), ("gamma", (-0.5, 0.9))],
+        "stand-compliance" => &[("zeta", (1e-4, 0.3))],
+        _ => &[],
+    }
+}
+
 /// Magnitudes of the motion, for the priors of the effects.
 pub fn scales(spec: &ModelSpec, motion: &Motion) -> Scales {
     let mut scales = Scales::of_spec(spec, motion.dt_s());

@@ -73,7 +73,7 @@ impl<'a> Measured<'a> {
         let mut system = self.linearise(&fitted, &at.values, &at.nuisances, &at.steps, None)?;
         // Where the slopes along the nuisances were taken, and whether the values have moved since.
         let (mut cost_of_nuisances, mut kept) = (at.cost, false);
-        let (mut rounds, mut chords) = (0, 0);
+        let (mut rounds, mut chords, mut idle) = (0, 0, 0);
         // Where the last of several short steps ended.
         let mut behind: Option<(Vec<f64>, Vec<Nuisances>)> = None;
         while rounds < settings.iterations {
@@ -115,7 +115,9 @@ impl<'a> Measured<'a> {
                 self.aim(&mut system, &at.nuisances, &at.steps);
                 continue;
             }
-            let ended = settled && chords == 0;
+            // A step may promise more than it keeps, once.
+            idle = if settled && chords == 0 { idle + 1 } else { 0 };
+            let ended = idle > 1;
             chords = 0;
             // The slopes along the nuisances change little while the model moves little.
             kept = at.cost > LITTLE * cost_of_nuisances;

@@ -33,13 +33,15 @@ pub static EFFECT: Effect = Effect {
             Parameter::positive("n", "1", "sharpness of the yield", (1.0, 10.0), 1.0)
                 .optional(1.0)
                 .at_most(100.0),
-            Parameter::either("beta", "1", "loading shape", 2.0, 0.5).optional(0.5),
+            // Only their sum over dy^n counts beside their ratio.
+            Parameter::either("beta", "1", "loading shape, 1 - gamma when left out", 2.0, 0.5).optional(0.5),
             Parameter::either("gamma", "1", "unloading shape", 2.0, 0.5).optional(0.5),
         ]
     },
     install: |values, system| {
         let [kh, dy, n] = ["kh_n_m", "dy_m", "n"].map(|name| values.get(name));
-        let (beta, gamma) = (values.get("beta"), values.get("gamma"));
+        let gamma = values.get("gamma");
+        let beta = values.spec().parameters.get("beta").copied().unwrap_or(1.0 - gamma);
         system.isolator_terms.push(Box::new(BoucWen {
             kh,
             inverse_dy: 1.0 / dy,
