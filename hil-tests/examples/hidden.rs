@@ -180,7 +180,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// What the specimen itself brings when the fit starts at it, beside what the search found: nats over the base model. Tells a
+/// What a fit that starts at the specimen itself brings, beside what the search found: nats over the specimen. Tells a
 /// fit that did not arrive from a record that does not tell.
 fn tell(case: &Hidden, effects: &[&'static str]) {
     let Ok(motion) = Motion::of(&case.record, case.nominal.mass_kg, Tolerances::default()) else { return };
@@ -198,12 +198,13 @@ fn tell(case: &Hidden, effects: &[&'static str]) {
     exactly.refit.numbers = Default::default();
     let (itself, exactly) = (searcher.finish(&itself), searcher.finish(&exactly));
     println!("\t\t{:?} {:?}", case.truth.isolator, case.truth.bumper);
+    let against = exactly.as_ref().unwrap_or(base);
     let line = |trial: &Trial| {
         println!(
             "\t\t  {:?}: {:.1} nats ({:.1} on held-out steps, freedom {:.1}), excess {:.4}, colour {:.2}, zero {:.1e}, {:?}",
             trial.names,
-            verdict::apart(trial, base),
-            verdict::gain(trial, base),
+            verdict::apart(trial, against),
+            verdict::gain(trial, against),
             trial.response.as_ref().map_or(0.0, |r| r.freedom_nats),
             trial.excess(),
             trial.response.as_ref().map_or(0.0, |r| r.colour()),
@@ -211,7 +212,7 @@ fn tell(case: &Hidden, effects: &[&'static str]) {
             trial.response.as_ref().map_or(&trial.refit.fit.values, |r| &r.training.values),
         );
     };
-    println!("\t\tthe specimen itself, the base model and what was found:");
+    println!("\t\tover the specimen itself: that, its numbers fitted, the base model and what was found:");
     exactly.iter().chain(&itself).for_each(line);
     line(base);
     search.stages.iter().flat_map(|stage| &stage.finalists).for_each(line);

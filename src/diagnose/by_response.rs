@@ -233,28 +233,41 @@ impl Searcher<'_> {
         let mut finalists: Vec<Trial> =
             parallel::map(&tried, parallel::cores(), arrived).into_iter().flatten().collect();
         best_first(&mut finalists, from);
-        // The other starts of the best, and of those that come near it: a likelihood with several summits.
+        // The other starts of the best, and of those that come near it: a likelihood with several summits. Of a long record they need
+        // not be looked for where the best brings nothing.
+        let looked_for =
+            !measured.is_long() || finalists.first().is_some_and(|best| verdict::apart(best, from) > 0.0);
         let near = |name: &str| {
-            let near = |trial: &&Trial| verdict::apart(&finalists[0], trial) < NEARBY;
+            let near = |trial: &&Trial| looked_for && verdict::apart(&finalists[0], trial) < NEARBY;
             finalists.iter().filter(near).any(|trial| verdict::last_name(trial) == name)
         };
         others.retain(|(spec, _, _)| spec.effects.last().is_some_and(|effect| near(&effect.name)));
         finalists.extend(parallel::map(&others, parallel::cores(), arrived).into_iter().flatten());
         best_first(&mut finalists, from);
-        // A way from far off takes longer.
-        if let Some(best) = finalists.first_mut()
-            && best.is_far()
-            && let Some(response) = &best.response
-            && let Some(arrived) = trial::respond(measured, best, Some(&response.training), FURTHER_ON)
-            && verdict::apart(&arrived, best) > 0.0
-        {
-            *best = arrived;
+        if let Some(best) = finalists.first_mut() {
+            self.go_on(measured, best);
         }
         finalists.extend(self.falling(measured, finalists.first(), scales));
         best_first(&mut finalists, from);
         self.shape(measured, &mut finalists, scales);
         best_first(&mut finalists, from);
         finalists
+    }
+
+    /// A way from far off takes longer; it may have begun in a wrong direction, from where numbers of the model's own made up for what
+    /// is there now.
+    fn go_on(&self, measured: &Measured<'_>, best: &mut Trial) {
+        let take = |arrived: Option<Trial>, best: &mut Trial| {
+            if let Some(arrived) = arrived.filter(|arrived| verdict::apart(arrived, best) > 0.0) {
+                *best = arrived;
+            }
+        };
+        if let (true, Some(response)) = (best.is_far(), &best.response) {
+            take(trial::respond(measured, best, Some(&response.training), FURTHER_ON), best);
+        }
+        if let Some(back) = self.brought_back(best) {
+            take(trial::respond(measured, &back, None, FURTHER_ON), best);
+        }
     }
 
     /// Lets the shape of the last effect follow, too, where that pays: in those that may be the best then.

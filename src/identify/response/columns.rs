@@ -6,11 +6,14 @@ use super::tangent::is_piecewise_linear;
 use super::{COMMON, HUBER, Measured, OVER, Simulated, Specimens, Step, slopes};
 use std::sync::Arc;
 
-/// Difference for a slope along a nuisance, over its prior deviation, where the solver is exact: a stiff contact amplifies a start by
-/// tens, and a slope over what bends by then has the rest of the gap's left over, as information that is not there.
-const SMALL: f64 = 0.01;
+/// Differences for a slope along a nuisance, over its prior deviation, and along a number, over its scale, where the solver is exact:
+/// a stiff contact amplifies a change by tens, and a slope over what bends by then has something of the other slopes left over, as
+/// information that is not there.
+const SMALL: [f64; 2] = [0.01, 1e-5];
 /// The same to both sides where its steps' errors are not far enough below that.
-const TO_BOTH_SIDES: f64 = 0.2;
+const TO_BOTH_SIDES: [f64; 2] = [0.2, 1e-2];
+/// Difference for a coarse slope along a number there.
+const COARSE: f64 = 1e-3;
 /// A change by so many times what is usual in a step is a jump that went over a sample, if it is one at all.
 const UNUSUAL: f64 = 6.0;
 
@@ -41,8 +44,12 @@ impl Measured<'_> {
         };
         let mut along = Vec::with_capacity(job.moved.len() + COMMON * self.records());
         for m in &mut job.moved {
-            let simulated = self.simulate(&mut m.specimens, window, common[0], own);
-            along.push(changed(&simulated, m.h));
+            let sides: Vec<_> = m
+                .sides
+                .iter_mut()
+                .map(|(of, h)| changed(&self.simulate(of, window, common[0], own), *h))
+                .collect();
+            along.push(mean(&sides, 2 * n));
         }
         let mut fresh = Vec::new();
         if known.is_none() {
@@ -53,13 +60,9 @@ impl Measured<'_> {
                     changed(&self.simulate(&mut job.own, window, common[0], &start), h)
                 };
                 let sigma = sigma.max(1e-12);
-                if job.exact {
-                    fresh.push(along_start(SMALL * sigma));
-                    continue;
-                }
-                let h = TO_BOTH_SIDES * sigma;
-                let (to, fro) = (along_start(h), along_start(-h));
-                fresh.push(to.iter().zip(&fro).map(|(to, fro)| 0.5 * (to + fro)).collect());
+                let sides = if job.exact { &[SMALL[0]][..] } else { &[TO_BOTH_SIDES[0], -TO_BOTH_SIDES[0]] };
+                let slopes: Vec<_> = sides.iter().map(|h| along_start(h * sigma)).collect();
+                fresh.push(mean(&slopes, 2 * n));
             }
             fresh.push(column(&|i| if counts(i) { -1.0 } else { 0.0 }, &|_| 0.0));
             let knots = self.knots(window);
@@ -101,23 +104,25 @@ impl Measured<'_> {
 
     /// What slopes are taken with: the model with each of its values moved, and as it is.
     pub(super) fn job<'b>(&self, fitted: &Fitted<'_>, values: &'b [f64]) -> Option<Job<'b>> {
+        let exact = is_piecewise_linear(&fitted.spec);
         let mut moved = Vec::new();
         for j in 0..if fitted.moving { self.of_model(values) } else { 0 } {
-            let (free, mut at) = (&fitted.free[j], values.to_vec());
-            let mut h = 1e-3 * free.scale;
-            if at[j] + h > free.bounds.1 {
-                h = -h;
-            }
-            at[j] += h;
-            let mut spec = fitted.spec.clone();
-            // A number that cannot be moved has no slope.
-            let specimens = fitted.numbers.put(&at, &mut spec).then(|| self.specimens(&spec)).flatten();
-            moved.push(match specimens {
-                Some(specimens) => Moved { specimens, h },
-                None => Moved { specimens: self.specimens(&fitted.spec)?, h },
-            });
+            let free = &fitted.free[j];
+            let specimens = |h: f64| {
+                let (mut at, mut spec) = (values.to_vec(), fitted.spec.clone());
+                at[j] += h;
+                let within = (free.bounds.0..=free.bounds.1).contains(&at[j]);
+                (within && fitted.numbers.put(&at, &mut spec)).then(|| self.specimens(&spec)).flatten()
+            };
+            let (share, most) = match (exact, fitted.fine) {
+                (true, _) => (SMALL[1], 1),
+                (false, false) => (COARSE, 1),
+                (false, true) => (TO_BOTH_SIDES[1], 2),
+            };
+            let h = share * free.scale;
+            let sides = [h, -h].into_iter().filter_map(|h| Some((specimens(h)?, h))).take(most).collect();
+            moved.push(Moved { sides });
         }
-        let exact = is_piecewise_linear(&fitted.spec);
         Some(Job { values, moving: fitted.moving, moved, own: self.specimens(&fitted.spec)?, exact })
     }
 }
@@ -132,7 +137,13 @@ pub(super) struct Job<'b> {
     exact: bool,
 }
 
+/// A number moved to one side or to both, by how much; to none where it cannot be moved: it has no slope then.
 struct Moved {
-    specimens: Specimens,
-    h: f64,
+    sides: Vec<(Specimens, f64)>,
+}
+
+/// Mean of slopes to one side or to both; none where there is no side.
+fn mean(sides: &[Vec<f64>], length: usize) -> Vec<f64> {
+    let share = 1.0 / sides.len() as f64;
+    (0..length).map(|i| sides.iter().map(|side| share * side[i]).sum()).collect()
 }

@@ -18,6 +18,8 @@ const SETTLED: f64 = 0.3;
 const LITTLE: f64 = 0.98;
 /// Steps that are taken with the slopes of an earlier one.
 const CHORDS: usize = 3;
+/// A fit of so few rounds sorts out: its slopes need not be better than its steps.
+const SORTING: usize = 3;
 /// Damping of a step that was too long before, and how many times as far it goes on from there while the cost falls.
 const SHORT: f64 = 1e-3;
 const FURTHER: [f64; 5] = [1.0, 2.0, 4.0, 8.0, 16.0];
@@ -41,7 +43,7 @@ impl<'a> Measured<'a> {
             nuisances.clone_from(&from.nuisances);
         }
         self.descend(
-            Fitted { spec: start.clone(), numbers, free: &free, moving: true },
+            Fitted { spec: start.clone(), numbers, free: &free, moving: true, fine: false },
             Part::Training,
             values,
             nuisances,
@@ -54,7 +56,7 @@ impl<'a> Measured<'a> {
         let free = self.free(numbers, 0.0);
         let settings = Settings { iterations: 12, ..Settings::default() };
         let still = self.still(Part::HeldOut);
-        let fitted = Fitted { spec: spec.clone(), numbers, free: &free, moving: false };
+        let fitted = Fitted { spec: spec.clone(), numbers, free: &free, moving: false, fine: false };
         self.descend(fitted, Part::HeldOut, laid.values.clone(), still, settings)
     }
 
@@ -71,6 +73,8 @@ impl<'a> Measured<'a> {
         fitted.spec.clone_from(&at.spec);
         let mut damping = 1e-4;
         let mut system = self.linearise(&fitted, &at.values, &at.nuisances, &at.steps, None)?;
+        // Coarse slopes lead near, where fine ones take over.
+        let coarse = |fitted: &Fitted<'_>| fitted.moving && !fitted.fine && settings.iterations > SORTING;
         // Where the slopes along the nuisances were taken, and whether the values have moved since.
         let (mut cost_of_nuisances, mut kept) = (at.cost, false);
         let (mut rounds, mut chords, mut idle) = (0, 0, 0);
@@ -79,7 +83,12 @@ impl<'a> Measured<'a> {
         while rounds < settings.iterations {
             let Some((moved, own)) = system.step(free, &at.values, &at.nuisances, damping) else { break };
             if chords == 0 && system.promises(free, &at.values, &moved) < SETTLED {
-                break;
+                if !coarse(&fitted) {
+                    break;
+                }
+                fitted.fine = true;
+                system = self.linearise(&fitted, &at.values, &at.nuisances, &at.steps, Some(system))?;
+                continue;
             }
             let before = at.total;
             match self.at(&fitted, part, moved, own).filter(|to| to.total < before) {
@@ -124,10 +133,16 @@ impl<'a> Measured<'a> {
             if !kept {
                 cost_of_nuisances = at.cost;
             }
+            let finer = ended && coarse(&fitted);
+            (fitted.fine, idle) = if finer { (true, 0) } else { (fitted.fine, idle) };
             system = self.linearise(&fitted, &at.values, &at.nuisances, &at.steps, kept.then_some(system))?;
-            if ended {
+            if ended && !finer {
                 break;
             }
+        }
+        if coarse(&fitted) {
+            fitted.fine = true;
+            system = self.linearise(&fitted, &at.values, &at.nuisances, &at.steps, Some(system))?;
         }
         let count = at.steps.iter().map(|s| self.count(s.window)).sum();
         let prior = if fitted.moving { at.total - at.cost } else { 0.0 };
@@ -316,6 +331,8 @@ pub(super) struct Fitted<'b> {
     pub(super) free: &'b [Free],
     /// The numbers of the model move, not the nuisances of the steps alone.
     pub(super) moving: bool,
+    /// Slopes along the numbers as good as they are to be had.
+    pub(super) fine: bool,
 }
 
 /// Where a fit stands.
