@@ -48,6 +48,10 @@ const HELD: f64 = 0.01;
 const FURTHER_ON: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
 /// How the shape of an effect is fitted.
 const OF_SHAPE: Settings = Settings { iterations: 12, ..FURTHER_ON };
+/// How many times as fast a stand rings that is tried beside one that was found, and how often at most; how those are sorted out.
+const BESIDE: [f64; 6] = [0.7, 0.84, 0.92, 1.09, 1.19, 1.4];
+const SUMMITS: usize = 3;
+const SORTED_OUT: Settings = Settings { iterations: 3, ..FURTHER_ON };
 /// Stribeck velocities that are tried beside Coulomb's friction, over the typical velocity; how much more than it breakaway takes; and
 /// nats to first order below which that is not fitted.
 const FALLS: [f64; 6] = [0.01, 0.03, 0.07, 0.15, 0.3, 0.6];
@@ -198,7 +202,6 @@ impl Searcher<'_> {
         });
         let mut starts: Vec<ModelSpec> = first.into_iter().map(|(_, spec)| spec).collect();
         starts.extend(by_force.iter().map(|(_, refit)| refit.spec.clone()));
-        let short = Settings { iterations: 3, ..Settings::default() };
         let long = Settings { iterations: 30, ..Settings::default() };
         let fit = |measured: &Measured<'_>, start: &ModelSpec, settings: Settings| {
             let mut numbers = from.refit.numbers.clone();
@@ -209,10 +212,11 @@ impl Searcher<'_> {
             numbers.put(&laid.values, &mut spec).then_some((spec, numbers, laid))
         };
         let some = measured.every(HALF);
-        let mut tried: Vec<_> = parallel::map(&starts, parallel::cores(), |start| fit(&some, start, short))
-            .into_iter()
-            .flatten()
-            .collect();
+        let mut tried: Vec<_> =
+            parallel::map(&starts, parallel::cores(), |start| fit(&some, start, SORTED_OUT))
+                .into_iter()
+                .flatten()
+                .collect();
         let cost = |laid: &Laid| laid.cost + laid.prior;
         tried.sort_by(|a, b| cost(&a.2).total_cmp(&cost(&b.2)));
         let mut others = first_of_each(&mut tried, |_| 1, |(spec, _, _)| spec);
@@ -251,6 +255,9 @@ impl Searcher<'_> {
         best_first(&mut finalists, from);
         self.shape(measured, &mut finalists, scales);
         best_first(&mut finalists, from);
+        if let Some(best) = finalists.first_mut() {
+            self.ringing(measured, best, scales);
+        }
         finalists
     }
 
@@ -274,29 +281,10 @@ impl Searcher<'_> {
     fn shape(&self, measured: &Measured<'_>, finalists: &mut [Trial], scales: &Scales) {
         let Some(best) = finalists.first().cloned() else { return };
         let reshaped = |trial: &Trial| -> Option<Trial> {
-            let shapes = candidates::shapes(&verdict::last_name(trial));
-            if shapes.is_empty() || verdict::apart(&best, trial) > HOPELESS {
+            if verdict::apart(&best, trial) > HOPELESS {
                 return None;
             }
-            let mut refit = trial.refit.clone();
-            let index = refit.spec.effects.len() - 1;
-            let effect = effects::find(&refit.spec.effects[index].name).ok()?;
-            for (name, _) in shapes {
-                let default = (effect.parameters)(scales).iter().find(|p| p.name == *name)?.default?;
-                refit.spec.effects[index].parameters.entry((*name).to_owned()).or_insert(default);
-            }
-            let own = format!("effect[{index}].");
-            refit.numbers.retain(|key| !key.starts_with(&own));
-            refit.numbers.add_effect(&refit.spec, index, scales);
-            for (name, (low, high)) in shapes {
-                let key = format!("{own}{name}");
-                let numbers = refit.numbers.numbers.iter().zip(&mut refit.numbers.free);
-                numbers.filter(|(number, _)| number.key == key).for_each(|(number, free)| {
-                    let of = |x: f64| if number.logarithmic { x.ln() } else { x };
-                    free.bounds = (of(*low), of(*high));
-                });
-            }
-            let shaped = trial::respond(measured, &Trial { refit, ..trial.clone() }, None, OF_SHAPE)?;
+            let shaped = trial::respond(measured, &with_shape(trial, scales)?, None, OF_SHAPE)?;
             (verdict::apart(&shaped, trial) > WORTH).then_some(shaped)
         };
         let shaped = parallel::map(finalists, parallel::cores(), reshaped);
@@ -305,6 +293,35 @@ impl Searcher<'_> {
                 *of = shaped;
             }
         });
+    }
+
+    /// A stand's likelihood has a summit for every number of ringings between two contacts: those beside the one that was found, for as
+    /// long as they are higher.
+    fn ringing(&self, measured: &Measured<'_>, best: &mut Trial, scales: &Scales) {
+        if verdict::last_name(best) != "stand-compliance" {
+            return;
+        }
+        let some = measured.every(HALF);
+        for _ in 0..SUMMITS {
+            let Some(shaped) = with_shape(best, scales) else { return };
+            let beside = |times: &f64| -> Option<(f64, Trial)> {
+                let mut start = shaped.clone();
+                let last = start.refit.spec.effects.last_mut()?;
+                *last.parameters.get_mut("ms_kg")? /= times * times;
+                start.refit.numbers.start_from(&start.refit.spec);
+                let (spec, numbers) = (&start.refit.spec, &start.refit.numbers);
+                let laid = some.fit(spec, numbers, start.refit.zero_m, None, SORTED_OUT)?;
+                numbers.put(&laid.values, &mut start.refit.spec);
+                Some((laid.cost + laid.prior, start))
+            };
+            let tried = parallel::map(&BESIDE, parallel::cores(), beside);
+            let highest = tried.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0));
+            let arrived = highest.and_then(|(_, start)| trial::respond(measured, &start, None, FURTHER_ON));
+            match arrived.filter(|arrived| verdict::apart(arrived, best) > WORTH) {
+                Some(arrived) => *best = arrived,
+                None => return,
+            }
+        }
     }
 
     /// One effect alone on top of a fitted model, a fit of it by force at hand.
@@ -351,6 +368,33 @@ impl Searcher<'_> {
         *names.last_mut()? = "stribeck-friction".into();
         trial::respond(measured, &Trial { names, refit, ..best.clone() }, None, FURTHER_ON)
     }
+}
+
+/// A trial in which the shape of its last effect is fitted, too; none where it has none.
+fn with_shape(trial: &Trial, scales: &Scales) -> Option<Trial> {
+    let shapes = candidates::shapes(&verdict::last_name(trial));
+    if shapes.is_empty() {
+        return None;
+    }
+    let mut refit = trial.refit.clone();
+    let index = refit.spec.effects.len() - 1;
+    let effect = effects::find(&refit.spec.effects[index].name).ok()?;
+    for (name, _) in shapes {
+        let default = (effect.parameters)(scales).iter().find(|p| p.name == *name)?.default?;
+        refit.spec.effects[index].parameters.entry((*name).to_owned()).or_insert(default);
+    }
+    let own = format!("effect[{index}].");
+    refit.numbers.retain(|key| !key.starts_with(&own));
+    refit.numbers.add_effect(&refit.spec, index, scales);
+    for (name, (low, high)) in shapes {
+        let key = format!("{own}{name}");
+        let numbers = refit.numbers.numbers.iter().zip(&mut refit.numbers.free);
+        numbers.filter(|(number, _)| number.key == key).for_each(|(number, free)| {
+            let of = |x: f64| if number.logarithmic { x.ln() } else { x };
+            free.bounds = (of(*low), of(*high));
+        });
+    }
+    Some(Trial { refit, ..trial.clone() })
 }
 
 /// What a start brings, made fainter where it is too much for first order and may be.
