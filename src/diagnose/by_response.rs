@@ -71,9 +71,7 @@ impl Searcher<'_> {
         let start = Trial { refit: Refit { spec, ..base.refit.clone() }, ..base.clone() };
         let settings = Settings { iterations: 20, ..Settings::default() };
         let again = trial::respond(measured, &start, None, settings)?;
-        let cost = |trial: &Trial| {
-            trial.response.as_ref().map_or(f64::INFINITY, |r| r.training.cost + r.training.prior)
-        };
+        let cost = |trial: &Trial| trial.response.as_ref().map_or(f64::INFINITY, |r| r.training.total());
         (cost(base) - cost(&again) > 2.0 * BETTER).then_some(again)
     }
 
@@ -217,7 +215,7 @@ impl Searcher<'_> {
                 .into_iter()
                 .flatten()
                 .collect();
-        let cost = |laid: &Laid| laid.cost + laid.prior;
+        let cost = Laid::total;
         tried.sort_by(|a, b| cost(&a.2).total_cmp(&cost(&b.2)));
         let mut others = first_of_each(&mut tried, |_| 1, |(spec, _, _)| spec);
         let least = tried.first().map_or(0.0, |(_, _, laid)| cost(laid));
@@ -242,10 +240,12 @@ impl Searcher<'_> {
         let looked_for =
             !measured.is_long() || finalists.first().is_some_and(|best| verdict::apart(best, from) > 0.0);
         let near = |name: &str| {
-            let near = |trial: &&Trial| looked_for && verdict::apart(&finalists[0], trial) < NEARBY;
+            let near = |trial: &&Trial| verdict::apart(&finalists[0], trial) < NEARBY;
             finalists.iter().filter(near).any(|trial| verdict::last_name(trial) == name)
         };
-        others.retain(|(spec, _, _)| spec.effects.last().is_some_and(|effect| near(&effect.name)));
+        others.retain(|(spec, _, _)| {
+            looked_for && spec.effects.last().is_some_and(|effect| near(&effect.name))
+        });
         finalists.extend(parallel::map(&others, parallel::cores(), arrived).into_iter().flatten());
         best_first(&mut finalists, from);
         if let Some(best) = finalists.first_mut() {
@@ -312,7 +312,7 @@ impl Searcher<'_> {
                 let (spec, numbers) = (&start.refit.spec, &start.refit.numbers);
                 let laid = some.fit(spec, numbers, start.refit.zero_m, None, SORTED_OUT)?;
                 numbers.put(&laid.values, &mut start.refit.spec);
-                Some((laid.cost + laid.prior, start))
+                Some((laid.total(), start))
             };
             let tried = parallel::map(&BESIDE, parallel::cores(), beside);
             let highest = tried.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0));

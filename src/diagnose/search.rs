@@ -465,10 +465,7 @@ fn reached(problem: &Problem<'_>, nominal: &ModelSpec, fit: Refit) -> Refit {
 /// is hundreds of nats.
 pub(super) fn best_first(trials: &mut Vec<Trial>, from: &Trial) {
     let cost = |trial: &Trial| {
-        trial
-            .response
-            .as_ref()
-            .map_or(f64::INFINITY, |r| r.training.cost + r.training.prior + r.held_out.cost)
+        trial.response.as_ref().map_or(f64::INFINITY, |r| r.training.total() + r.held_out.cost)
     };
     let least = trials.iter().min_by(|a, b| cost(a).total_cmp(&cost(b))).filter(|t| t.response.is_some());
     let beside = least.cloned();

@@ -155,7 +155,7 @@ impl Trial {
     /// What was gained over another trial on the training steps, nats, coloured residuals considered.
     pub fn training_gain(&self, from: &Self) -> f64 {
         if let (Some(with), Some(of)) = (&self.response, &from.response) {
-            let fall = of.training.cost + of.training.prior - with.training.cost - with.training.prior;
+            let fall = of.training.total() - with.training.total();
             return 0.5 * fall / with.colour().max(1.0);
         }
         0.5 * (from.objective - self.objective) / self.colour.max(1.0)

@@ -141,7 +141,7 @@ pub fn better<'a>(best: &'a Trial, trial: &'a Trial) -> &'a Trial {
 /// The part of the steps that were fitted.
 fn evidence(trial: &Trial, from: &Trial) -> f64 {
     if let (Some(with), Some(of)) = (&trial.response, &from.response) {
-        let fall = of.training.cost + of.training.prior - with.training.cost - with.training.prior;
+        let fall = of.training.total() - with.training.total();
         let colour = with.colour().min(of.colour()).max(1.0);
         return 0.5 * fall / colour - (with.freedom_nats - of.freedom_nats);
     }

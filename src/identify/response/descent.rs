@@ -2,6 +2,7 @@
 //! as small as the model. Called for every fit and every judgement by the response.
 
 use super::columns::Job;
+use super::tangent::is_piecewise_linear;
 use super::{Laid, Measured, Nuisances, Step, TOGETHER, robust};
 use crate::identify::least_squares::{self, Free, Settings, dot};
 use crate::identify::numbers::Numbers;
@@ -42,8 +43,10 @@ impl<'a> Measured<'a> {
             values[to..].copy_from_slice(&from.values[of..]);
             nuisances.clone_from(&from.nuisances);
         }
+        // Where the solver is exact there are no coarse slopes.
+        let fine = is_piecewise_linear(start);
         self.descend(
-            Fitted { spec: start.clone(), numbers, free: &free, moving: true, fine: false },
+            Fitted { spec: start.clone(), numbers, free: &free, moving: true, fine },
             Part::Training,
             values,
             nuisances,
@@ -56,7 +59,7 @@ impl<'a> Measured<'a> {
         let free = self.free(numbers, 0.0);
         let settings = Settings { iterations: 12, ..Settings::default() };
         let still = self.still(Part::HeldOut);
-        let fitted = Fitted { spec: spec.clone(), numbers, free: &free, moving: false, fine: false };
+        let fitted = Fitted { spec: spec.clone(), numbers, free: &free, moving: false, fine: true };
         self.descend(fitted, Part::HeldOut, laid.values.clone(), still, settings)
     }
 
@@ -74,7 +77,7 @@ impl<'a> Measured<'a> {
         let mut damping = 1e-4;
         let mut system = self.linearise(&fitted, &at.values, &at.nuisances, &at.steps, None)?;
         // Coarse slopes lead near, where fine ones take over.
-        let coarse = |fitted: &Fitted<'_>| fitted.moving && !fitted.fine && settings.iterations > SORTING;
+        let coarse = |fitted: &Fitted<'_>| !fitted.fine && settings.iterations > SORTING;
         // Where the slopes along the nuisances were taken, and whether the values have moved since.
         let (mut cost_of_nuisances, mut kept) = (at.cost, false);
         let (mut rounds, mut chords, mut idle) = (0, 0, 0);
@@ -126,17 +129,18 @@ impl<'a> Measured<'a> {
             }
             // A step may promise more than it keeps, once.
             idle = if settled && chords == 0 { idle + 1 } else { 0 };
-            let ended = idle > 1;
+            let mut ended = idle > 1;
             chords = 0;
             // The slopes along the nuisances change little while the model moves little.
             kept = at.cost > LITTLE * cost_of_nuisances;
             if !kept {
                 cost_of_nuisances = at.cost;
             }
-            let finer = ended && coarse(&fitted);
-            (fitted.fine, idle) = if finer { (true, 0) } else { (fitted.fine, idle) };
+            if ended && coarse(&fitted) {
+                (fitted.fine, ended, idle) = (true, false, 0);
+            }
             system = self.linearise(&fitted, &at.values, &at.nuisances, &at.steps, kept.then_some(system))?;
-            if ended && !finer {
+            if ended {
                 break;
             }
         }

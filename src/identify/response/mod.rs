@@ -102,6 +102,13 @@ pub struct Laid {
     information: DMatrix<f64>,
 }
 
+impl Laid {
+    /// What a fit minimises: the cost with the priors.
+    pub fn total(&self) -> f64 {
+        self.cost + self.prior
+    }
+}
+
 /// Simulated A and D of a step.
 type Simulated = Vec<(f64, f64)>;
 
