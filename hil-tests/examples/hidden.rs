@@ -242,7 +242,7 @@ fn tell_effects(found: &Diagnosis, case: &Hidden) {
         };
         for (name, p) in &named.parameters {
             if let Some(truth) = hidden.parameters.get(name) {
-                let off = 3.92 * (p.value - truth) / (p.high95 - p.low95);
+                let off = off(p.value, (p.low95, p.high95), *truth);
                 println!(
                     "\t\t{}.{name} {:.4e} ({:.4e} to {:.4e}), is {truth:.4e} ({off:+.1} standard deviations)",
                     named.name, p.value, p.low95, p.high95
@@ -277,9 +277,14 @@ fn base_intervals(found: &Diagnosis, case: &Hidden) -> Vec<(String, f64)> {
     let own = found.reidentified.iter().filter(|n| !n.key.starts_with("effect["));
     own.filter_map(|n| {
         let truth = case.truth.get(&n.key).ok()?;
-        Some((n.key.clone(), 3.92 * (n.value - truth) / (n.high95 - n.low95)))
+        Some((n.key.clone(), off(n.value, (n.low95, n.high95), truth)))
     })
     .collect()
+}
+
+/// How many standard deviations a value is from the truth, as the side of its interval has them that the truth is on.
+fn off(value: f64, (low95, high95): (f64, f64), truth: f64) -> f64 {
+    1.96 * (value - truth) / if truth < value { value - low95 } else { high95 - value }
 }
 
 /// The same of the parameters of the effects that were named rightly.

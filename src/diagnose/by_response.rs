@@ -3,7 +3,7 @@
 
 use super::candidates;
 use super::search::{Searcher, Stage, best_first};
-use super::trial::{self, Trial};
+use super::trial::{self, Response, Trial};
 use super::verdict;
 use crate::identify::least_squares::Settings;
 use crate::identify::numbers::Numbers;
@@ -44,6 +44,8 @@ const FEW_ROUNDS: usize = 2;
 /// its prior's width that it is then left.
 const ASTRAY: f64 = 5.0;
 const HELD: f64 = 0.01;
+/// Profiles of an explanation that may come upon a better place.
+const PROFILES: usize = 3;
 /// How a fit goes on.
 const FURTHER_ON: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
 /// How the shape of an effect is fitted.
@@ -99,6 +101,32 @@ impl Searcher<'_> {
         let mut back = trial::respond(measured, &start, None, settings)?;
         back.refit.numbers = free_again;
         Some(back)
+    }
+
+    /// An explanation with the limits of its numbers by the profile of the likelihood; where that comes upon a better place, the fit goes
+    /// on from there. A long record leaves so little between them that a valley does not bend.
+    pub(super) fn bounded(&self, mut trial: Trial) -> Trial {
+        let Some(measured) = self.measured.as_ref().filter(|measured| !measured.is_long()) else {
+            return trial;
+        };
+        for _ in 0..PROFILES {
+            let Some(Response { training, left, .. }) = &trial.response else { break };
+            let Refit { spec, numbers, .. } = &trial.refit;
+            let profile = measured.profile(spec, numbers, training, left[0].colour);
+            let again = profile.better.and_then(|better| {
+                let mut start = trial.clone();
+                numbers.put(&better.values, &mut start.refit.spec);
+                trial::respond(measured, &start, Some(&better), FURTHER_ON)
+            });
+            match again.filter(|again| verdict::apart(again, &trial) > 0.0) {
+                Some(again) => trial = again,
+                None => {
+                    trial.refit.limits = profile.limits;
+                    break;
+                }
+            }
+        }
+        trial
     }
 
     /// An effect that contains the one before it (Stribeck's friction and Coulomb's) may do alone.

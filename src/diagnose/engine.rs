@@ -124,7 +124,8 @@ pub fn diagnose_together(
     let search = searcher.search(nominal, options.thresholds).ok_or_else(diverges)?;
     let structure = |trial: &Trial| structure::examine(searcher.problem(), &trial.refit).unwrap_or_default();
     let shaped = |taken: &Trial| searcher.shaped(&search.base, taken);
-    let decision = verdict::decide(&search, structure, shaped, options.thresholds);
+    let mut decision = verdict::decide(&search, structure, shaped, options.thresholds);
+    decision.chosen = searcher.bounded(decision.chosen);
     let mut out = Composer { tests, nominal, options, motion: &motion, searcher: &searcher }
         .compose(&search, decision, &findings, notes)
         .ok_or_else(diverges)?;

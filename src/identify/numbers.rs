@@ -175,13 +175,12 @@ impl Numbers {
         })
     }
 
-    /// Value and 95 % interval of a number from the fit's value and standard deviation.
-    pub fn interval(&self, index: usize, value: f64, sigma: f64) -> (f64, f64, f64) {
-        let half = sigma / SIGMA;
+    /// Value and limits of a number from those of the fit.
+    pub fn interval(&self, index: usize, value: f64, limits: (f64, f64)) -> (f64, f64, f64) {
         if self.numbers[index].logarithmic {
-            (value.exp(), (value - half).exp(), (value + half).exp())
+            (value.exp(), limits.0.exp(), limits.1.exp())
         } else {
-            (value, value - half, value + half)
+            (value, limits.0, limits.1)
         }
     }
 }

@@ -6,6 +6,9 @@ use super::numbers::Numbers;
 use super::problem::{Part, Problem};
 use crate::model::ModelSpec;
 
+/// Standard deviations to each side within which 95 % are.
+const TIMES: f64 = 1.96;
+
 /// A model fitted to a motion.
 #[derive(Clone, Debug)]
 pub struct Refit {
@@ -21,13 +24,17 @@ pub struct Refit {
     pub inflation: f64,
     /// Standard deviations of the values, coloured residuals considered.
     pub sigmas: Vec<f64>,
+    /// 95 % limits of the values as the fit moves them, where the profile of the likelihood was followed; else empty.
+    pub limits: Vec<(f64, f64)>,
 }
 
 impl Refit {
     /// Value and 95 % interval of a key.
     pub fn interval(&self, key: &str) -> Option<(f64, f64, f64)> {
         let index = self.numbers.numbers.iter().position(|n| n.key == key)?;
-        Some(self.numbers.interval(index, self.fit.values[index], self.sigmas[index]))
+        let (value, half) = (self.fit.values[index], TIMES * self.sigmas[index]);
+        let limits = self.limits.get(index).copied().unwrap_or((value - half, value + half));
+        Some(self.numbers.interval(index, value, limits))
     }
 
     /// Correlation coefficients of the fitted values, in their order.
@@ -88,7 +95,7 @@ pub fn refit(
     let mut spec = start.clone();
     numbers.put(&fit.values, &mut spec);
     let zero_m = fit.values.last().copied().unwrap_or(0.0);
-    Some(Refit { spec, numbers: numbers.clone(), zero_m, fit, inflation, sigmas })
+    Some(Refit { spec, numbers: numbers.clone(), zero_m, fit, inflation, sigmas, limits: Vec::new() })
 }
 
 /// The fit's numbers with the zero of the displacement sensor as the last.

@@ -288,19 +288,16 @@ impl<'a> Measured<'a> {
         narrowed.cholesky().map_or(0.0, |root| root.l().diagonal().iter().map(|x| x.ln()).sum())
     }
 
+    /// Covariance of a fit's values, so many residuals counting as one independent one.
+    pub(super) fn covariance(&self, numbers: &Numbers, laid: &Laid, colour: f64) -> DMatrix<f64> {
+        laid.as_fit(&laid.values, laid.information.clone()).covariance(&self.free(numbers, 0.0), colour)
+    }
+
     /// The fit as the rest of the diagnosis knows fits: the model's numbers and the zero, everything else eliminated.
     pub fn refit(&self, start: &ModelSpec, numbers: &Numbers, laid: &Laid, colour: f64) -> Refit {
         let free = self.free(numbers, 0.0);
         let kept = self.of_model(&laid.values) + 1;
-        let fit = |values: &[f64], information: DMatrix<f64>| least_squares::Fit {
-            values: values.to_vec(),
-            residual_sum: laid.cost,
-            prior_sum: laid.prior,
-            count: laid.count,
-            information,
-            iterations: 0,
-        };
-        let covariance = fit(&laid.values, laid.information.clone()).covariance(&free, colour);
+        let covariance = self.covariance(numbers, laid, colour);
         let sigmas = (0..kept).map(|j| covariance[(j, j)].max(0.0).sqrt()).collect();
         // What is common to all steps but the zero, with its priors, eliminated from the information.
         let (rest, mixed) =
@@ -318,9 +315,10 @@ impl<'a> Measured<'a> {
             spec,
             numbers: numbers.clone(),
             zero_m: laid.values[kept - 1],
-            fit: fit(&laid.values[..kept], information),
+            fit: laid.as_fit(&laid.values[..kept], information),
             inflation: colour,
             sigmas,
+            limits: Vec::new(),
         }
     }
 }

@@ -10,6 +10,7 @@ mod descent;
 mod jumps;
 mod left;
 mod memory;
+mod profile;
 mod tangent;
 #[cfg(test)]
 mod tests;
@@ -19,7 +20,7 @@ pub use tangent::{Score, Tangent};
 
 use jumps::{Sampled, beside_jumps};
 
-use super::least_squares::{Free, dot};
+use super::least_squares::{Fit, Free, dot};
 use super::motion::{Motion, Window};
 use super::numbers::Numbers;
 use super::problem::{DRIFT, DRIFT_MEMORY, Part};
@@ -106,6 +107,17 @@ impl Laid {
     /// What a fit minimises: the cost with the priors.
     pub fn total(&self) -> f64 {
         self.cost + self.prior
+    }
+
+    fn as_fit(&self, values: &[f64], information: DMatrix<f64>) -> Fit {
+        Fit {
+            values: values.to_vec(),
+            residual_sum: self.cost,
+            prior_sum: self.prior,
+            count: self.count,
+            information,
+            iterations: 0,
+        }
     }
 }
 

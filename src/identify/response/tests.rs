@@ -172,3 +172,32 @@ fn a_springpot_remembers_the_record_before_a_step() {
     specimen.recall(kept);
     assert_eq!(specimen.memory(), kept);
 }
+
+#[test]
+fn along_a_number_that_the_record_tells_the_profile_says_what_the_curvature_does_and_finds_a_better_place() {
+    let mut truth = b1_g2();
+    truth.effects.push(effect("quadratic-damping", &[("c2_n_s2_m2", 400.0)]));
+    let motion = Motion::of(&seen(&truth, 17), 500.0, Tolerances::default()).expect("a motion");
+    let measured = Measured::new(&motion).expect("a base record");
+    let mut start = b1_g2();
+    start.effects.push(effect("quadratic-damping", &[("c2_n_s2_m2", 300.0)]));
+    let mut numbers = Numbers::of_base(&start);
+    numbers.add_effect(&start, 0, &candidates::scales(&start, &motion));
+    let j = numbers.numbers.len() - 1;
+    let fit = |iterations| {
+        let settings = Settings { iterations, ..Settings::default() };
+        measured.fit(&start, &numbers, 0.0, None, settings).expect("fits")
+    };
+    let arrived = fit(30);
+    let profile = measured.profile(&start, &numbers, &arrived, 1.0);
+    assert!(profile.better.is_none());
+    let (low, high) = profile.limits[j];
+    let sigma = measured.refit(&start, &numbers, &arrived, 1.0).sigmas[j];
+    assert!(low < 400.0 && 400.0 < high, "{low} {high}");
+    for half in [arrived.values[j] - low, high - arrived.values[j]] {
+        assert!((0.99..1.2).contains(&(half / (1.96 * sigma))), "{half} {sigma}");
+    }
+    // From where a fit has not begun it comes upon a better place.
+    let better = measured.profile(&start, &numbers, &fit(0), 1.0).better.expect("a better place");
+    assert!(better.total() < fit(0).total() - 2.0);
+}

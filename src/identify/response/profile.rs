@@ -1,0 +1,120 @@
+//! Limits of numbers by the profile of the likelihood: a number is held where it may just be, and everything else is fitted again.
+//! Where a valley bends (a springpot's strength with its order, a branch's time with its stiffness) the curvature at its floor says
+//! far too little. Called for what a diagnosis names in the end.
+
+use super::{Laid, Measured};
+use crate::identify::least_squares::Settings;
+use crate::identify::numbers::Numbers;
+use crate::model::ModelSpec;
+use crate::parallel;
+use nalgebra::DMatrix;
+
+/// Twice the fall of the log-likelihood at limits of 95 %, and how many standard deviations of a parabola that is.
+const FALL: f64 = 3.84;
+const TIMES: f64 = 1.96;
+/// Share of that fall, from and to, from which the limit follows by a parabola; attempts to come as near.
+const NEAR: (f64, f64) = (0.75, 1.35);
+const ATTEMPTS: usize = 4;
+/// A rise of the log-likelihood, twice, that is a better place.
+const RISEN: f64 = 2.0;
+/// How everything else is fitted.
+const BESIDE: Settings = Settings { iterations: 8, tolerance: 1e-6, difference: 1e-3 };
+
+/// What the likelihood says along numbers.
+pub struct Profile {
+    /// 95 % limits of every number of the model as the fit moves it; the wider of those of the profile and of the curvature,
+    /// since a fit that did not arrive makes a profile too narrow.
+    pub limits: Vec<(f64, f64)>,
+    /// A better place that was come upon.
+    pub better: Option<Laid>,
+}
+
+impl Measured<'_> {
+    /// Profiles the likelihood along the numbers of the effects (Venzon and Moolgavkar 1988), `colour` residuals counting as one
+    /// independent one. Every other number may at least be where it was fitted beside their limits.
+    pub fn profile(&self, spec: &ModelSpec, numbers: &Numbers, laid: &Laid, colour: f64) -> Profile {
+        let covariance = self.covariance(numbers, laid, colour);
+        let sigma = |j: usize| covariance[(j, j)].max(0.0).sqrt();
+        let own = (0..numbers.numbers.len()).filter(|j| numbers.numbers[*j].key.starts_with("effect["));
+        let sides: Vec<(usize, f64)> = own.flat_map(|j| [(j, -1.0), (j, 1.0)]).collect();
+        let from = Floor { spec, numbers, laid, colour, covariance: &covariance };
+        let reached = parallel::map(&sides, parallel::cores(), |(j, side)| self.side(&from, *j, *side));
+        let around = |j: usize| (laid.values[j] - TIMES * sigma(j), laid.values[j] + TIMES * sigma(j));
+        let mut limits: Vec<(f64, f64)> = (0..numbers.numbers.len()).map(around).collect();
+        let mut better: Option<Laid> = None;
+        for side in reached.into_iter().flatten() {
+            match side {
+                Side::Limit(values) => {
+                    for (limit, value) in limits.iter_mut().zip(values) {
+                        *limit = (limit.0.min(value), limit.1.max(value));
+                    }
+                }
+                Side::Better(there) if better.as_ref().is_none_or(|b| there.total() < b.total()) => {
+                    better = Some(there);
+                }
+                Side::Better(_) => {}
+            }
+        }
+        Profile { limits, better }
+    }
+
+    /// Goes to one side along a number to where the likelihood has fallen to its limit.
+    fn side(&self, floor: &Floor<'_>, j: usize, side: f64) -> Option<Side> {
+        let Floor { spec, numbers, laid, colour, covariance } = floor;
+        let kept = numbers.numbers.len();
+        let sigma = covariance[(j, j)].max(0.0).sqrt();
+        let mut along: Vec<f64> =
+            (0..laid.values.len()).map(|i| side * TIMES * covariance[(i, j)] / sigma.max(1e-300)).collect();
+        let on = |along: &[f64], times: f64| -> Vec<f64> {
+            laid.values.iter().zip(along).map(|(value, by)| value + times * by).collect()
+        };
+        let mut reached = None;
+        for _ in 0..ATTEMPTS {
+            let (mut held, mut values) = ((*numbers).clone(), on(&along, 1.0));
+            for (free, value) in held.free.iter_mut().zip(&mut values) {
+                *value = value.clamp(free.bounds.0, free.bounds.1);
+                free.start = *value;
+            }
+            let bounds = held.free[j].bounds;
+            let at_bound = values[j] <= bounds.0 || values[j] >= bounds.1;
+            held.free[j].bounds = (values[j], values[j]);
+            let from = Laid { values, ..(*laid).clone() };
+            let Some(there) = self.fit(spec, &held, 0.0, Some(&from), BESIDE) else { break };
+            let fallen = (there.cost - laid.cost) / colour.max(1.0) + there.prior - laid.prior;
+            if fallen < -RISEN {
+                return Some(Side::Better(there));
+            }
+            let times = (FALL / fallen.max(0.1 * FALL)).sqrt();
+            along = there.values.iter().zip(&laid.values).map(|(there, here)| there - here).collect();
+            let share = fallen / FALL;
+            if at_bound && share < NEAR.1 {
+                return Some(Side::Limit(on(&along[..kept], 1.0)));
+            }
+            if share > NEAR.0 && share < NEAR.1 {
+                return Some(Side::Limit(on(&along[..kept], times)));
+            }
+            if share < NEAR.0 {
+                // So far at least.
+                reached = Some(Side::Limit(on(&along[..kept], 1.0)));
+            }
+            along.iter_mut().for_each(|by| *by *= times);
+        }
+        reached
+    }
+}
+
+/// Where a fit has arrived.
+struct Floor<'b> {
+    spec: &'b ModelSpec,
+    numbers: &'b Numbers,
+    laid: &'b Laid,
+    colour: f64,
+    covariance: &'b DMatrix<f64>,
+}
+
+/// What was found to one side.
+enum Side {
+    /// The model's numbers at the limit.
+    Limit(Vec<f64>),
+    Better(Laid),
+}
