@@ -216,7 +216,10 @@ fn tell(case: &Hidden, effects: &[&'static str]) {
     exactly.iter().chain(&itself).for_each(line);
     line(base);
     search.stages.iter().flat_map(|stage| &stage.finalists).for_each(line);
-    println!("\t\t  shapes: {:?}", searcher.shaped(base, search.best()));
+    println!(
+        "\t\t  shapes: {:?}",
+        searcher.shaped(base, search.best(), Thresholds::default().of_shape(search.best()))
+    );
     for trial in [base, search.best()] {
         let shape = searcher.shape_left(trial).map(|shape| (shape.expression, shape.nats));
         println!("\t\t  beside {:?}: {shape:?}", trial.names);

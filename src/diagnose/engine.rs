@@ -123,7 +123,7 @@ pub fn diagnose_together(
     let diverges = || DiagnoseError::Diverges { name: nominal.name.clone() };
     let search = searcher.search(nominal, options.thresholds).ok_or_else(diverges)?;
     let structure = |trial: &Trial| structure::examine(searcher.problem(), &trial.refit).unwrap_or_default();
-    let shaped = |taken: &Trial| searcher.shaped(&search.base, taken);
+    let shaped = |taken: &Trial| searcher.shaped(&search.base, taken, options.thresholds.of_shape(taken));
     let mut decision = verdict::decide(&search, structure, shaped, options.thresholds);
     decision.chosen = searcher.bounded(decision.chosen);
     let mut out = Composer { tests, nominal, options, motion: &motion, searcher: &searcher }

@@ -25,7 +25,7 @@ pub struct Shape {
 /// What forces of some shape would bring, nats.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shaped {
-    /// Beside an explanation, on the steps of the fit to first order.
+    /// Beside an explanation, on the steps of the fit: to first order, and fitted where that is a lot.
     pub beside: f64,
     /// One in place of all effects, fitted: by how much it does better over the whole record.
     pub instead: f64,
@@ -36,6 +36,13 @@ const WORTH: f64 = 0.3;
 
 /// Nats that one may be behind after a short fit for a longer one: its amplitude was known to first order.
 const BEHIND: f64 = 60.0;
+
+/// How a shape is fitted, in short and for longer.
+const SHORT: Settings = Settings { iterations: 3, tolerance: 1e-6, difference: 1e-3 };
+const LONG: Settings = Settings { iterations: 6, ..SHORT };
+
+/// Typical change of its amplitude, over the one that first order has.
+const TYPICAL: f64 = 3.0;
 
 /// Even and odd powers of displacement and velocity and their products, waves over displacement, forces of one side, friction in
 /// places, and slow changes.
@@ -63,11 +70,22 @@ const SHAPES: [&str; 20] = [
 ];
 
 impl Searcher<'_> {
-    /// What shapes bring beside the trial that was taken and in its place.
-    pub fn shaped(&self, base: &Trial, taken: &Trial) -> Shaped {
-        let nats = |shape: Option<Shape>| shape.map_or(0.0, |shape| shape.nats);
+    /// What shapes bring beside the trial that was taken and in its place; one of up to `enough` nats
+    /// beside it is not worth a fit.
+    pub fn shaped(&self, base: &Trial, taken: &Trial, enough: f64) -> Shaped {
+        let beside = self.shape_left(taken).map_or(0.0, |shape| match shape.nats {
+            nats if nats > enough => self.fitted(taken, shape).unwrap_or(0.0),
+            nats => nats,
+        });
         let instead = if taken.names.is_empty() { None } else { self.shape_instead(base, taken) };
-        Shaped { beside: nats(self.shape_left(taken)), instead: instead.unwrap_or(f64::NEG_INFINITY) }
+        Shaped { beside, instead: instead.unwrap_or(f64::NEG_INFINITY) }
+    }
+
+    /// What a shape beside a trial brings to the steps of the fit when it is fitted, nothing where those held out speak against it.
+    fn fitted(&self, taken: &Trial, shape: Shape) -> Option<f64> {
+        let fitted =
+            trial::respond(self.measured.as_ref()?, &self.with_shape(taken, shape.with), None, LONG)?;
+        (verdict::gain(&fitted, taken) > 0.0).then(|| fitted.training_gain(taken))
     }
 
     /// The shape that brings most beside a trial; none where the simulated response does not decide.
@@ -91,22 +109,29 @@ impl Searcher<'_> {
         if shape.nats < WORTH * taken.training_gain(base) {
             return None;
         }
-        let (spec, mut refit) = (shape.with, base.refit.clone());
-        refit.numbers.add_effect(&spec, spec.effects.len() - 1, &candidates::scales(&spec, self.motion));
-        // The amplitude alone.
-        let amplitude = format!("effect[{}].f", spec.effects.len() - 1);
-        let kept = |key: &str| key == amplitude || base.refit.numbers.numbers.iter().any(|n| n.key == key);
-        refit.numbers.retain(kept);
-        refit.spec = spec;
-        let start = Trial { names: vec!["expression".into()], refit, ..base.clone() };
-        let rounds = |iterations: usize| Settings { iterations, ..Settings::default() };
-        let fitted = trial::respond(measured, &start, None, rounds(3))?;
+        let fitted = trial::respond(measured, &self.with_shape(base, shape.with), None, SHORT)?;
         let ahead = verdict::apart(&fitted, taken);
         if ahead < -BEHIND {
             return Some(ahead);
         }
         let laid = fitted.response.as_ref().map(|response| &response.training);
-        Some(verdict::apart(&trial::respond(measured, &fitted, laid, rounds(6))?, taken))
+        Some(verdict::apart(&trial::respond(measured, &fitted, laid, LONG)?, taken))
+    }
+
+    /// A trial with a shape beside it, whose amplitude is to be fitted along with the trial's own numbers.
+    fn with_shape(&self, from: &Trial, spec: ModelSpec) -> Trial {
+        let mut refit = from.refit.clone();
+        refit.numbers.add_effect(&spec, spec.effects.len() - 1, &candidates::scales(&spec, self.motion));
+        let amplitude = format!("effect[{}].f", spec.effects.len() - 1);
+        let kept = |key: &str| key == amplitude || from.refit.numbers.numbers.iter().any(|n| n.key == key);
+        refit.numbers.retain(kept);
+        // Differences of a faint amplitude are to be above the solver's errors.
+        if let Some(free) = refit.numbers.free.last_mut() {
+            free.scale = TYPICAL * free.start.abs();
+        }
+        refit.spec = spec;
+        let names = from.names.iter().cloned().chain(["expression".to_owned()]).collect();
+        Trial { names, refit, ..from.clone() }
     }
 }
 

@@ -45,7 +45,7 @@ pub struct Thresholds {
     pub response: [f64; 2],
     /// The same beside an effect that was taken already: what the fit of that one has left is taken up, too.
     pub further: [f64; 2],
-    /// Nats to first order that a generic shape of force brings beside a model with nothing missing, and beside an explanation,
+    /// Nats that a generic shape of force brings beside a model with nothing missing, and beside an explanation,
     /// from which on something is there that the catalogue does not have.
     pub shape: [f64; 2],
     /// Covariance of neighbouring residuals of the response, in units of the noise, that is structure.
@@ -78,6 +78,11 @@ impl Default for Thresholds {
 }
 
 impl Thresholds {
+    /// What a shape has to bring beside a trial.
+    pub fn of_shape(&self, taken: &Trial) -> f64 {
+        self.shape[usize::from(!taken.names.is_empty())]
+    }
+
     /// What a trial has to bring on each part of the steps and together.
     fn asked(self, trial: &Trial, from: &Trial) -> [f64; 2] {
         let Some(response) = &trial.response else { return self.gain };
@@ -227,8 +232,8 @@ fn by_response(
 ) -> Verdict {
     // Shapes are asked only where the residuals themselves do not tell.
     let told_by_shape = || {
-        let (most, shaped) = (thresholds.shape[usize::from(!taken.names.is_empty())], shaped(taken));
-        shaped.beside > most || shaped.instead > thresholds.tie + OF_MANY
+        let shaped = shaped(taken);
+        shaped.beside > thresholds.of_shape(taken) || shaped.instead > thresholds.tie + OF_MANY
     };
     if taken.excess() > thresholds.structure || told_by_shape() {
         Verdict::OutsideCatalogue
