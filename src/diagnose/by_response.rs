@@ -9,7 +9,7 @@ use crate::identify::least_squares::Settings;
 use crate::identify::numbers::Numbers;
 use crate::identify::refit::Refit;
 use crate::identify::response::{Laid, Measured, Score, Tangent};
-use crate::model::effects::{self, Effect};
+use crate::model::effects::Effect;
 use crate::model::{EffectSpec, ModelSpec, Scales};
 use crate::parallel;
 
@@ -26,19 +26,19 @@ const NEARBY: f64 = 30.0;
 const REFINED: usize = 3;
 const REFUSED: usize = 2;
 /// Every so many steps are looked at to sort them out.
-const HALF: usize = 2;
+pub(super) const HALF: usize = 2;
 /// Share of the best one's nats to first order below which another start of an effect is not fitted.
 const ANOTHER: f64 = 0.3;
 /// Nats to first order below which a candidate is not fitted, the first alone to be refused by name; and the share of the first
 /// one's.
-const WORTH: f64 = 4.0;
+pub(super) const WORTH: f64 = 4.0;
 const SHARE: f64 = 0.05;
 /// Nats by which the base model has to do better when it is fitted again.
 const BETTER: f64 = 2.0;
 /// Nats that a simpler effect beside the one that contains it has to bring.
 const MERGED: f64 = 20.0;
 /// What is behind the best by so many nats after a short fit gets no long one; a candidate a few rounds more, to be refused by name.
-const HOPELESS: f64 = 80.0;
+pub(super) const HOPELESS: f64 = 80.0;
 const FEW_ROUNDS: usize = 2;
 /// Deviations of its prior that a number of the model is from where it was given when it makes up for something; and the share of
 /// its prior's width that it is then left.
@@ -47,18 +47,9 @@ const HELD: f64 = 0.01;
 /// Profiles of an explanation that may come upon a better place.
 const PROFILES: usize = 3;
 /// How a fit goes on.
-const FURTHER_ON: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
-/// How the shape of an effect is fitted.
-const OF_SHAPE: Settings = Settings { iterations: 12, ..FURTHER_ON };
-/// How many times as fast a stand rings that is tried beside one that was found, and how often at most; how those are sorted out.
-const BESIDE: [f64; 6] = [0.7, 0.84, 0.92, 1.09, 1.19, 1.4];
-const SUMMITS: usize = 3;
-const SORTED_OUT: Settings = Settings { iterations: 3, ..FURTHER_ON };
-/// Stribeck velocities that are tried beside Coulomb's friction, over the typical velocity; how much more than it breakaway takes; and
-/// nats to first order below which that is not fitted.
-const FALLS: [f64; 6] = [0.01, 0.03, 0.07, 0.15, 0.3, 0.6];
-const RISE: f64 = 0.1;
-const FALLING: f64 = 5.0;
+pub(super) const FURTHER_ON: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
+/// How starts are sorted out.
+pub(super) const SORTED_OUT: Settings = Settings { iterations: 3, ..FURTHER_ON };
 /// Change of the response, in units of the noise, that is faint enough for first order; attempts to make a start as faint.
 const FAINT: f64 = 0.3;
 const FAINTER: usize = 3;
@@ -148,7 +139,7 @@ impl Searcher<'_> {
     }
 
     /// Pairs of the second effect of the best one with another first: greedy search starts without the second, and which the first
-    /// is may show only beside it.
+    /// is may show only beside it. It may do without any, too, where its shape came only with the pair.
     pub(super) fn exchange_first(&self, stage: &mut Stage, base: &Trial) {
         let (Some(measured), Some(pair)) = (&self.measured, stage.finalists.first()) else { return };
         let [one, _] = pair.names.as_slice() else { return };
@@ -163,8 +154,18 @@ impl Searcher<'_> {
         let settled = if second.is_far() { self.settled(&second) } else { None };
         let mut by_force = settled.map_or(Vec::new(), |settled| self.screen(&settled, &effects, &scales));
         by_force.truncate(SCORED);
+        let before = pair.names.clone();
         stage.finalists.extend(self.by_response(measured, &second, &by_force, &effects, &scales));
         best_first(&mut stage.finalists, base);
+        let Some(best) = stage.finalists.first_mut() else { return };
+        let alone = if best.names == before {
+            Some(second)
+        } else {
+            trial::respond(measured, &self.second_alone(base, best), None, settings)
+        };
+        if let Some(alone) = alone.filter(|alone| verdict::apart(best, alone) < MERGED) {
+            *best = alone;
+        }
     }
 
     /// A pair without its first effect, to be fitted.
@@ -305,53 +306,6 @@ impl Searcher<'_> {
         }
     }
 
-    /// Lets the shape of the last effect follow, too, where that pays: in those that may be the best then.
-    fn shape(&self, measured: &Measured<'_>, finalists: &mut [Trial], scales: &Scales) {
-        let Some(best) = finalists.first().cloned() else { return };
-        let reshaped = |trial: &Trial| -> Option<Trial> {
-            if verdict::apart(&best, trial) > HOPELESS {
-                return None;
-            }
-            let shaped = trial::respond(measured, &with_shape(trial, scales)?, None, OF_SHAPE)?;
-            (verdict::apart(&shaped, trial) > WORTH).then_some(shaped)
-        };
-        let shaped = parallel::map(finalists, parallel::cores(), reshaped);
-        finalists.iter_mut().zip(shaped).for_each(|(of, shaped)| {
-            if let Some(shaped) = shaped {
-                *of = shaped;
-            }
-        });
-    }
-
-    /// A stand's likelihood has a summit for every number of ringings between two contacts: those beside the one that was found, for as
-    /// long as they are higher.
-    fn ringing(&self, measured: &Measured<'_>, best: &mut Trial, scales: &Scales) {
-        if verdict::last_name(best) != "stand-compliance" {
-            return;
-        }
-        let some = measured.every(HALF);
-        for _ in 0..SUMMITS {
-            let Some(shaped) = with_shape(best, scales) else { return };
-            let beside = |times: &f64| -> Option<(f64, Trial)> {
-                let mut start = shaped.clone();
-                let last = start.refit.spec.effects.last_mut()?;
-                *last.parameters.get_mut("ms_kg")? /= times * times;
-                start.refit.numbers.start_from(&start.refit.spec);
-                let (spec, numbers) = (&start.refit.spec, &start.refit.numbers);
-                let laid = some.fit(spec, numbers, start.refit.zero_m, None, SORTED_OUT)?;
-                numbers.put(&laid.values, &mut start.refit.spec);
-                Some((laid.total(), start))
-            };
-            let tried = parallel::map(&BESIDE, parallel::cores(), beside);
-            let highest = tried.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0));
-            let arrived = highest.and_then(|(_, start)| trial::respond(measured, &start, None, FURTHER_ON));
-            match arrived.filter(|arrived| verdict::apart(arrived, best) > WORTH) {
-                Some(arrived) => *best = arrived,
-                None => return,
-            }
-        }
-    }
-
     /// One effect alone on top of a fitted model, a fit of it by force at hand.
     pub(super) fn with_effect(
         &self,
@@ -363,66 +317,6 @@ impl Searcher<'_> {
         let fitted = self.by_response(measured, from, &[(effect.name, by_force)], &[effect], &scales);
         fitted.into_iter().find(|trial| verdict::last_name(trial) == effect.name)
     }
-
-    /// Stribeck's friction beside a Coulomb's that does best: what it does more is next to nothing beside what both do, which first order
-    /// about the model without friction does not tell.
-    fn falling(&self, measured: &Measured<'_>, best: Option<&Trial>, scales: &Scales) -> Option<Trial> {
-        let best = best.filter(|best| verdict::last_name(best) == "coulomb-friction")?;
-        self.candidates(&best.refit.spec).iter().find(|effect| effect.name == "stribeck-friction")?;
-        let (index, laid) = (best.refit.spec.effects.len() - 1, &best.response.as_ref()?.training);
-        let constant = *best.refit.spec.effects[index].parameters.get("fc_n")?;
-        let tangent = measured.tangent(&best.refit.spec, &best.refit.numbers, laid)?;
-        let scored = parallel::map(&FALLS, parallel::cores(), |share| {
-            let mut spec = best.refit.spec.clone();
-            let effect = &mut spec.effects[index];
-            effect.name = "stribeck-friction".into();
-            effect.parameters.insert("fs_n".into(), (1.0 + RISE) * constant);
-            effect.parameters.insert("vs_m_s".into(), share * scales.velocity_m_s);
-            let score = tangent.score(&spec)?;
-            let more = (RISE * score.scale).clamp(0.1 * RISE, 20.0);
-            spec.effects[index].parameters.insert("fs_n".into(), (1.0 + more) * constant);
-            (score.scale > 0.0).then_some((score.nats, spec))
-        });
-        let (nats, spec) = scored.into_iter().flatten().max_by(|a, b| a.0.total_cmp(&b.0))?;
-        if nats < FALLING {
-            return None;
-        }
-        let mut refit = best.refit.clone();
-        let own = format!("effect[{index}].");
-        refit.numbers.retain(|key| !key.starts_with(&own));
-        refit.numbers.add_effect(&spec, index, scales);
-        refit.spec = spec;
-        let mut names = best.names.clone();
-        *names.last_mut()? = "stribeck-friction".into();
-        trial::respond(measured, &Trial { names, refit, ..best.clone() }, None, FURTHER_ON)
-    }
-}
-
-/// A trial in which the shape of its last effect is fitted, too; none where it has none.
-fn with_shape(trial: &Trial, scales: &Scales) -> Option<Trial> {
-    let shapes = candidates::shapes(&verdict::last_name(trial));
-    if shapes.is_empty() {
-        return None;
-    }
-    let mut refit = trial.refit.clone();
-    let index = refit.spec.effects.len() - 1;
-    let effect = effects::find(&refit.spec.effects[index].name).ok()?;
-    for (name, _) in shapes {
-        let default = (effect.parameters)(scales).iter().find(|p| p.name == *name)?.default?;
-        refit.spec.effects[index].parameters.entry((*name).to_owned()).or_insert(default);
-    }
-    let own = format!("effect[{index}].");
-    refit.numbers.retain(|key| !key.starts_with(&own));
-    refit.numbers.add_effect(&refit.spec, index, scales);
-    for (name, (low, high)) in shapes {
-        let key = format!("{own}{name}");
-        let numbers = refit.numbers.numbers.iter().zip(&mut refit.numbers.free);
-        numbers.filter(|(number, _)| number.key == key).for_each(|(number, free)| {
-            let of = |x: f64| if number.logarithmic { x.ln() } else { x };
-            free.bounds = (of(*low), of(*high));
-        });
-    }
-    Some(Trial { refit, ..trial.clone() })
 }
 
 /// What a start brings, made fainter where it is too much for first order and may be.

@@ -14,6 +14,7 @@ pub mod report;
 pub mod search;
 pub mod shapes;
 pub mod structure;
+mod summits;
 #[cfg(test)]
 pub(crate) mod testing;
 pub mod trial;

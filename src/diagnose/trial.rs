@@ -161,6 +161,14 @@ impl Trial {
         0.5 * (from.objective - self.objective) / self.colour.max(1.0)
     }
 
+    /// Nats that a better explanation may bring: what hangs together in the residuals of the response.
+    pub fn nats_left(&self) -> f64 {
+        self.response.as_ref().map_or(0.0, |response| {
+            let count = (response.training.count + response.held_out.count) as f64;
+            0.5 * response.excess().max(0.0) * count
+        })
+    }
+
     /// Whether its simulated response is too far off for first order.
     pub fn is_far(&self) -> bool {
         self.response.as_ref().is_some_and(|r| r.left[0].median > FAR || r.excess() > STRUCTURED)

@@ -1,0 +1,137 @@
+//! Effects whose likelihood has more than one summit, or numbers that are left out at first: sharpness of a hysteresis, ringing of a
+//! stand, breakaway of friction. The search by the response calls them for the best of its candidates.
+
+use super::by_response::{FURTHER_ON, HALF, HOPELESS, SORTED_OUT, WORTH};
+use super::search::Searcher;
+use super::trial::{self, Trial};
+use super::{candidates, verdict};
+use crate::identify::least_squares::Settings;
+use crate::identify::response::Measured;
+use crate::model::{Scales, effects};
+use crate::parallel;
+
+/// How the shape of an effect is fitted.
+const OF_SHAPE: Settings = Settings { iterations: 12, ..FURTHER_ON };
+/// How many times as fast a stand rings that is tried beside one that was found, and how often at most.
+const BESIDE: [f64; 6] = [0.7, 0.84, 0.92, 1.09, 1.19, 1.4];
+const SUMMITS: usize = 3;
+/// Stribeck velocities that are tried beside Coulomb's friction, over the typical velocity; how much more than it breakaway takes; and
+/// nats to first order below which that is not fitted.
+const FALLS: [f64; 6] = [0.01, 0.03, 0.07, 0.15, 0.3, 0.6];
+const RISE: f64 = 0.1;
+const FALLING: f64 = 5.0;
+
+impl Searcher<'_> {
+    /// Lets the shape of the last effect follow, too, where that pays: in those that may be the best then, which bring no more by it than
+    /// the best leaves.
+    pub(super) fn shape(&self, measured: &Measured<'_>, finalists: &mut [Trial], scales: &Scales) {
+        let Some(best) = finalists.first().cloned() else { return };
+        let reshaped = |trial: &Trial| -> Option<Trial> {
+            if verdict::apart(&best, trial) > HOPELESS + best.nats_left() {
+                return None;
+            }
+            let shaped = trial::respond(measured, &with_shape(trial, scales)?, None, OF_SHAPE)?;
+            (verdict::apart(&shaped, trial) > WORTH).then_some(shaped)
+        };
+        let shaped = parallel::map(finalists, parallel::cores(), reshaped);
+        finalists.iter_mut().zip(shaped).for_each(|(of, shaped)| {
+            if let Some(shaped) = shaped {
+                *of = shaped;
+            }
+        });
+    }
+
+    /// A stand's likelihood has a summit for every number of ringings between two contacts: those beside the one that was found, for as
+    /// long as they are higher.
+    pub(super) fn ringing(&self, measured: &Measured<'_>, best: &mut Trial, scales: &Scales) {
+        if verdict::last_name(best) != "stand-compliance" {
+            return;
+        }
+        let some = measured.every(HALF);
+        for _ in 0..SUMMITS {
+            let Some(shaped) = with_shape(best, scales) else { return };
+            let beside = |times: &f64| -> Option<(f64, Trial)> {
+                let mut start = shaped.clone();
+                let last = start.refit.spec.effects.last_mut()?;
+                *last.parameters.get_mut("ms_kg")? /= times * times;
+                start.refit.numbers.start_from(&start.refit.spec);
+                let (spec, numbers) = (&start.refit.spec, &start.refit.numbers);
+                let laid = some.fit(spec, numbers, start.refit.zero_m, None, SORTED_OUT)?;
+                numbers.put(&laid.values, &mut start.refit.spec);
+                Some((laid.total(), start))
+            };
+            let tried = parallel::map(&BESIDE, parallel::cores(), beside);
+            let highest = tried.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0));
+            let arrived = highest.and_then(|(_, start)| trial::respond(measured, &start, None, FURTHER_ON));
+            match arrived.filter(|arrived| verdict::apart(arrived, best) > WORTH) {
+                Some(arrived) => *best = arrived,
+                None => return,
+            }
+        }
+    }
+
+    /// Stribeck's friction beside a Coulomb's that does best: what it does more is next to nothing beside what both do, which first order
+    /// about the model without friction does not tell.
+    pub(super) fn falling(
+        &self,
+        measured: &Measured<'_>,
+        best: Option<&Trial>,
+        scales: &Scales,
+    ) -> Option<Trial> {
+        let best = best.filter(|best| verdict::last_name(best) == "coulomb-friction")?;
+        self.candidates(&best.refit.spec).iter().find(|effect| effect.name == "stribeck-friction")?;
+        let (index, laid) = (best.refit.spec.effects.len() - 1, &best.response.as_ref()?.training);
+        let constant = *best.refit.spec.effects[index].parameters.get("fc_n")?;
+        let tangent = measured.tangent(&best.refit.spec, &best.refit.numbers, laid)?;
+        let scored = parallel::map(&FALLS, parallel::cores(), |share| {
+            let mut spec = best.refit.spec.clone();
+            let effect = &mut spec.effects[index];
+            effect.name = "stribeck-friction".into();
+            effect.parameters.insert("fs_n".into(), (1.0 + RISE) * constant);
+            effect.parameters.insert("vs_m_s".into(), share * scales.velocity_m_s);
+            let score = tangent.score(&spec)?;
+            let more = (RISE * score.scale).clamp(0.1 * RISE, 20.0);
+            spec.effects[index].parameters.insert("fs_n".into(), (1.0 + more) * constant);
+            (score.scale > 0.0).then_some((score.nats, spec))
+        });
+        let (nats, spec) = scored.into_iter().flatten().max_by(|a, b| a.0.total_cmp(&b.0))?;
+        if nats < FALLING {
+            return None;
+        }
+        let mut refit = best.refit.clone();
+        let own = format!("effect[{index}].");
+        refit.numbers.retain(|key| !key.starts_with(&own));
+        refit.numbers.add_effect(&spec, index, scales);
+        refit.spec = spec;
+        let mut names = best.names.clone();
+        *names.last_mut()? = "stribeck-friction".into();
+        trial::respond(measured, &Trial { names, refit, ..best.clone() }, None, FURTHER_ON)
+    }
+}
+
+/// A trial in which the shape of its last effect is fitted, too; none where it has none.
+fn with_shape(trial: &Trial, scales: &Scales) -> Option<Trial> {
+    let shapes = candidates::shapes(&verdict::last_name(trial));
+    if shapes.is_empty() {
+        return None;
+    }
+    let mut refit = trial.refit.clone();
+    let index = refit.spec.effects.len() - 1;
+    let effect = effects::find(&refit.spec.effects[index].name).ok()?;
+    for (name, _) in shapes {
+        let default = (effect.parameters)(scales).iter().find(|p| p.name == *name)?.default?;
+        refit.spec.effects[index].parameters.entry((*name).to_owned()).or_insert(default);
+    }
+    let own = format!("effect[{index}].");
+    refit.numbers.retain(|key| !key.starts_with(&own));
+    refit.numbers.add_effect(&refit.spec, index, scales);
+    for (name, (low, high)) in shapes {
+        let key = format!("{own}{name}");
+        let numbers = refit.numbers.numbers.iter().zip(&mut refit.numbers.free);
+        numbers.filter(|(number, _)| number.key == key).for_each(|(number, free)| {
+            let of = |x: f64| if number.logarithmic { x.ln() } else { x };
+            free.bounds = (of(*low), of(*high));
+        });
+    }
+    Some(Trial { refit, ..trial.clone() })
+}
