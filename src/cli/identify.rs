@@ -3,6 +3,7 @@
 use super::reading::ReadArgs;
 use super::{CliError, Outcome};
 use crate::diagnose::engine::{noise_floor, nrmse};
+use crate::diagnose::out_there::out_there;
 use crate::diagnose::search::{Effort, Searcher};
 use crate::identify::kinematics::Tolerances;
 use crate::identify::motion::Motion;
@@ -41,6 +42,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
             nominal.name
         )));
     };
+    let trial = out_there(&record, &nominal, trial);
     let problem = searcher.problem();
     let held_out = |spec, zero| problem.output_error(spec, zero, Part::HeldOut);
     let before = held_out(&nominal, 0.0).map(|e| nrmse(&e));

@@ -3,6 +3,7 @@
 //! errors over.
 
 use super::engine::{noise_floor, nrmse};
+use super::out_there::out_there;
 use super::search::{Effort, Searcher};
 use super::trial::{self, Trial};
 use super::{candidates, instruments, verdict};
@@ -109,7 +110,7 @@ pub fn add(
     let base = searcher.base(nominal).ok_or(AddError::NoResponse { with: "as it is" })?;
     let lost = AddError::NoResponse { with: "with the effect" };
     let trial = fitted(&searcher, &motion, nominal, &base, given, fixed_start).ok_or(lost)?;
-    let trial = searcher.bounded(trial);
+    let trial = out_there(record, nominal, searcher.bounded(trial));
     let problem = searcher.problem();
     let held_out = |spec: &ModelSpec, zero| problem.output_error(spec, zero, Part::HeldOut);
     let (refit, after) = (&trial.refit, held_out(&trial.refit.spec, trial.refit.zero_m));

@@ -10,6 +10,7 @@ pub mod instruments;
 pub mod live;
 pub mod missing_force;
 pub mod next_test;
+pub mod out_there;
 pub mod report;
 pub mod search;
 pub mod shapes;

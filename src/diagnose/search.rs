@@ -46,7 +46,7 @@ const NEAR: f64 = 0.25;
 /// Nats that a candidate brings on the thinned record before it is fitted in full.
 const PROMISING: f64 = 3.0;
 /// Share of its prior's width that is left to a number that the motion does not reach.
-const UNSEEN: f64 = 0.9;
+pub(super) const UNSEEN: f64 = 0.9;
 /// Starts of an effect that the force sorts out where the response does so, too.
 const FEW: usize = 5;
 /// So many effects go on from there.
@@ -82,7 +82,7 @@ pub struct Searcher<'a> {
     screening: Problem<'a>,
     fitting: Problem<'a>,
     /// The nominal model fitted by force.
-    fitted: Option<Refit>,
+    pub(super) fitted: Option<Refit>,
     stride: usize,
     /// Effects that are not tried.
     without: Vec<&'static str>,

@@ -28,6 +28,8 @@ pub struct Window {
     pub range: Range<usize>,
     /// Kept back from every fit; judges what was fitted.
     pub held_out: bool,
+    /// The motion settles in it, and goes farther than in any steady stretch.
+    pub settling: bool,
     /// Number of the record that it comes from.
     pub source: usize,
     /// Noise that is left in what drives a simulation, m/s2 rms a sample over the window.
@@ -96,7 +98,16 @@ impl Motion {
     /// # Errors
     /// A missing channel, or too few samples.
     pub fn of(record: &Record, mass_kg: f64, tolerances: Tolerances) -> Result<Self, MotionError> {
-        Self::with(record, mass_kg, kinematics::examine(record, tolerances))
+        Self::with(record, mass_kg, kinematics::examine(record, tolerances), false)
+    }
+
+    /// As [`Motion::of`], with the cycles in which the mass goes farther than in any steady stretch: for the last fit of a model that is to
+    /// follow it there, too. A search does without: what drives them is known with noise, and fits take many more rounds.
+    ///
+    /// # Errors
+    /// A missing channel, or too few samples.
+    pub fn with_farthest(record: &Record, mass_kg: f64, tolerances: Tolerances) -> Result<Self, MotionError> {
+        Self::with(record, mass_kg, kinematics::examine(record, tolerances), true)
     }
 
     /// As [`Motion::of`], the instruments taken to be sound.
@@ -104,10 +115,15 @@ impl Motion {
     /// # Errors
     /// A missing channel, or too few samples.
     pub fn uncorrected(record: &Record, mass_kg: f64) -> Result<Self, MotionError> {
-        Self::with(record, mass_kg, None)
+        Self::with(record, mass_kg, None, false)
     }
 
-    fn with(record: &Record, mass_kg: f64, instruments: Option<Instruments>) -> Result<Self, MotionError> {
+    fn with(
+        record: &Record,
+        mass_kg: f64,
+        instruments: Option<Instruments>,
+        farthest: bool,
+    ) -> Result<Self, MotionError> {
         if record.time_s.len() < FEWEST {
             return Err(MotionError::TooShort { samples: record.time_s.len(), needed: FEWEST });
         }
@@ -116,7 +132,7 @@ impl Motion {
             Kind::Force => forced(record, mass_kg)?,
             Kind::Component => component(record)?,
         };
-        motion.windows = windows::cut(record, &motion);
+        motion.windows = windows::cut(record, &motion, farthest);
         motion.remove_acceleration_zeros();
         motion.remove_noise_of_the_table();
         Ok(motion)
@@ -157,21 +173,33 @@ impl Motion {
             return;
         }
         let dt = self.dt_s();
-        let mut zeros: Vec<(usize, f64, f64)> = Vec::with_capacity(self.windows.len());
-        for window in &self.windows {
-            let r = window.range.clone();
+        let zero = |r: Range<usize>| {
             let mean = |x: &[f64]| x[r.clone()].iter().sum::<f64>() / r.len() as f64;
             let change = (self.velocity_m_s[r.end - 1] - self.velocity_m_s[r.start])
                 / ((r.len() - 1).max(1) as f64 * dt);
-            let table = mean(&self.drive_m_s2);
-            zeros.push((r.start, -mean(&self.restoring_m_s2) - change, table));
-        }
-        for (i, window) in self.windows.iter().enumerate() {
-            let (_, mass, table) = zeros[i];
-            for n in window.warm_from..window.range.end {
-                self.restoring_m_s2[n] += mass;
-                self.drive_m_s2[n] -= table;
+            (-mean(&self.restoring_m_s2) - change, mean(&self.drive_m_s2))
+        };
+        // In a part of a record without steps the table need not come back; it does in the whole.
+        let parts =
+            self.windows.windows(2).any(|two| !two[1].settling && two[1].warm_from < two[0].range.end);
+        let of = |window: &Window| zero(if parts { 0..self.drive_m_s2.len() } else { window.range.clone() });
+        let zeros: Vec<(f64, f64)> = self.windows.iter().map(of).collect();
+        // While it settles the table does not come back: zeros are as in the steady stretch before. A sample that several windows
+        // share, as what warms them up, is corrected once.
+        let mut done = vec![false; self.drive_m_s2.len()];
+        let mut correct = |range: Range<usize>, (mass, table): (f64, f64)| {
+            for n in range {
+                if !std::mem::replace(&mut done[n], true) {
+                    self.restoring_m_s2[n] += mass;
+                    self.drive_m_s2[n] -= table;
+                }
             }
+        };
+        let of = |i: usize| zeros[if self.windows[i].settling { i.saturating_sub(1) } else { i }];
+        for settling in [false, true] {
+            let chosen = || self.windows.iter().enumerate().filter(|(_, w)| w.settling == settling);
+            chosen().for_each(|(i, window)| correct(window.range.clone(), of(i)));
+            chosen().for_each(|(i, window)| correct(window.warm_from..window.range.start, of(i)));
         }
     }
 }

@@ -22,6 +22,9 @@ impl Motion {
         for window in &mut self.windows {
             let range = window.warm_from..window.range.end;
             window.drive_noise_m_s2 = noise;
+            if window.settling {
+                continue;
+            }
             let Some(found) = periodic(&self.drive_m_s2[range.clone()], window.frequency_hz, rate) else {
                 continue;
             };

@@ -1,7 +1,7 @@
 //! Where a record is steady: the stretches that models are laid against.
 
 use super::motion::{Motion, Window};
-use crate::record::Record;
+use crate::record::{Kind, Record};
 use realfft::num_complex::Complex64;
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -17,9 +17,12 @@ const MOST: f64 = 8.0;
 const SHORT: f64 = 180_000.0;
 /// A cycle is as steady as the last ones when input and displacement differ from them by no more than that, relative.
 const STEADY: f64 = 0.02;
+/// How much farther than in any steady stretch the mass goes elsewhere when that is looked at, too; cycles before and after.
+const FARTHER: f64 = 1.02;
+const AROUND: (f64, f64) = (1.0, 2.0);
 
-/// Steady stretches: the later part of each step in whole cycles, or the record in equal parts.
-pub(super) fn cut(record: &Record, motion: &Motion) -> Vec<Window> {
+/// Steady stretches: the later part of each step in whole cycles, or the record in equal parts; and where the mass goes farthest, if asked.
+pub(super) fn cut(record: &Record, motion: &Motion, with_farthest: bool) -> Vec<Window> {
     let n = motion.displacement_m.len();
     let mut windows = Vec::new();
     if record.step.len() == n {
@@ -42,12 +45,43 @@ pub(super) fn cut(record: &Record, motion: &Motion) -> Vec<Window> {
     if windows.len() < FEWEST_STEPS {
         windows = equal_parts(n, motion);
     }
-    // Every third stretch judges; the first and last serve the fit, so that it need not extrapolate.
+    // Every third stretch judges, but not one of which the fit sees how it settles; the first and last serve the fit, so that it need
+    // not extrapolate.
+    let settles = with_farthest && record.step.len() == n && motion.kind == Kind::Base;
+    let farthest = if settles { farthest(record, motion, &windows) } else { None };
     let last = windows.len().saturating_sub(1);
     for (i, window) in windows.iter_mut().enumerate() {
-        window.held_out = i % 3 == 1 && i != last;
+        let seen = farthest.as_ref().is_some_and(|farthest| farthest.step == window.step);
+        window.held_out = i % 3 == 1 && i != last && !seen;
     }
+    windows.extend(farthest);
+    windows.sort_by_key(|window| window.range.start);
     windows
+}
+
+/// The cycles in which the mass goes farther than in any steady stretch while it settles: nothing else tells of the isolator out there,
+/// and a model is driven there in every run.
+fn farthest(record: &Record, motion: &Motion, steady: &[Window]) -> Option<Window> {
+    let far = |n: &usize| motion.displacement_m[*n].abs();
+    let top = |range: Range<usize>| range.max_by(|a, b| far(a).total_cmp(&far(b)));
+    let largest = |window: &Window| top(window.range.clone()).map_or(0.0, |n| far(&n));
+    let reached = steady.iter().map(largest).fold(0.0, f64::max);
+    let settling = steady.windows(2).filter_map(|two| {
+        let n = top(two[0].range.end..two[1].range.start)?;
+        Some((n, two))
+    });
+    let (n, two) = settling.max_by(|a, b| far(&a.0).total_cmp(&far(&b.0)))?;
+    if far(&n) <= FARTHER * reached {
+        return None;
+    }
+    let cycles = |count: f64| (count * motion.sample_rate_hz / two[1].frequency_hz) as usize;
+    // A table that changes its frequency at once jumps between two samples; what that does is not known well enough.
+    let changed = (1..n).rev().find(|i| record.step[*i] != record.step[n]).map_or(0, |i| i + 2);
+    let start = n.saturating_sub(cycles(AROUND.0)).max(two[0].range.end).max(changed);
+    let end = (n + cycles(AROUND.1)).min(two[1].range.start);
+    let warm = start.saturating_sub(cycles(WARM))..start;
+    let warm_from = from_the_middle(&motion.displacement_m, warm, cycles(1.0) as f64);
+    Some(Window { warm_from, range: start..end, settling: true, held_out: false, ..two[1].clone() })
 }
 
 /// The last whole cycles of a step, at least four and more where they are as steady (half of a shorter step), warmed up by three
@@ -85,6 +119,7 @@ fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
         warm_from,
         range: start..range.end,
         held_out: false,
+        settling: false,
         source: 0,
         drive_noise_m_s2: 0.0,
     })
@@ -118,6 +153,7 @@ fn equal_parts(n: usize, motion: &Motion) -> Vec<Window> {
             warm_from: (i * length).saturating_sub(2 * length),
             range: i * length..(i + 1) * length,
             held_out: false,
+            settling: false,
             source: 0,
             drive_noise_m_s2: 0.0,
         })
@@ -146,4 +182,43 @@ fn main_frequency_hz(channel: &[f64], rate: f64) -> Option<f64> {
     }
     let (first, last) = (crossings.first()?, crossings.last()?);
     (crossings.len() > 1).then(|| (crossings.len() - 1) as f64 * rate / (last - first))
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::diagnose::testing::seen;
+    use crate::identify::kinematics::Tolerances;
+    use crate::identify::motion::Motion;
+    use crate::model::testing::b1_g2;
+
+    fn largest(motion: &Motion, range: std::ops::Range<usize>) -> f64 {
+        motion.displacement_m[range].iter().fold(0.0_f64, |top, d| top.max(d.abs()))
+    }
+
+    #[test]
+    fn the_farthest_excursion_is_looked_at_although_the_motion_only_settles_there() {
+        let record = seen(&b1_g2(), 1);
+        let motion = Motion::with_farthest(&record, 500.0, Tolerances::default()).expect("sound");
+        let (steady, settling): (Vec<_>, Vec<_>) = motion.windows.iter().partition(|w| !w.settling);
+        let reached = steady.iter().map(|w| largest(&motion, w.range.clone())).fold(0.0, f64::max);
+        let between = largest(&motion, steady[0].range.end..steady[steady.len() - 1].range.start);
+        assert!(between > 1.02 * reached, "the record overshoots: {between} m over {reached} m");
+        let [window] = settling.as_slice() else { panic!("{settling:?}") };
+        assert_eq!(largest(&motion, window.range.clone()), between);
+        assert!(motion.windows.iter().all(|w| w.step != window.step || !w.held_out));
+        assert!(motion.windows.windows(2).all(|two| two[0].range.end <= two[1].range.start));
+    }
+
+    #[test]
+    fn the_zero_of_an_accelerometer_is_taken_out_once_where_stretches_warm_each_other_up() {
+        let mut record = seen(&b1_g2(), 2);
+        record.step.clear();
+        let channels = [&mut record.mass_acceleration_1_m_s2, &mut record.mass_acceleration_2_m_s2];
+        channels.into_iter().flatten().for_each(|a| *a += 0.05);
+        let motion = Motion::of(&record, 500.0, Tolerances::default()).expect("sound");
+        let (first, last) = (&motion.windows[0], &motion.windows[motion.windows.len() - 1]);
+        let counted = first.range.start..last.range.end;
+        let mean = motion.restoring_m_s2[counted.clone()].iter().sum::<f64>() / counted.len() as f64;
+        assert!(mean.abs() < 0.01, "{mean} m/s2 of 0.05 are left");
+    }
 }

@@ -52,6 +52,8 @@ const STARTING: usize = 5;
 const QUIET: f64 = 0.1;
 /// Nor in a step of more half cycles than these: each takes a simulation.
 const OFFSETS: usize = 16;
+/// Offsets of a cycle in which the mass settles.
+const FINE: usize = 16;
 /// A residual of the acceleration above so many times its noise counts by its size, no more by its square (Huber 1964): where a
 /// simulated contact begins some samples off, the jump does not rule the fit.
 const HUBER: f64 = 6.0;
@@ -154,7 +156,9 @@ impl<'a> Measured<'a> {
                 (0..motion.windows.len()).filter(|k| motion.windows[*k].held_out == held_out).collect();
             let samples: usize =
                 all.iter().map(|k| motion.windows[*k].range.end - motion.windows[*k].warm_from).sum();
-            all.into_iter().step_by(samples.div_ceil(SAMPLES * motion.sources.len().max(1)).max(1)).collect()
+            let every = samples.div_ceil(SAMPLES * motion.sources.len().max(1)).max(1);
+            let kept = |(i, k): (usize, usize)| (i % every == 0 || motion.windows[k].settling).then_some(k);
+            all.into_iter().enumerate().filter_map(kept).collect()
         };
         let leak = motion.instruments.as_ref().map(|i| {
             let [one, two] = &i.accelerometers;
@@ -187,6 +191,12 @@ impl<'a> Measured<'a> {
     pub fn every(&self, steps: usize) -> Self {
         let training = self.training.iter().copied().step_by(steps.max(1)).collect();
         Self { training, ..self.clone() }
+    }
+
+    /// The same with the cycles alone in which the mass goes farther than in any steady stretch.
+    pub fn settling(&self) -> Self {
+        let settles = |k: &usize| self.motion.windows[*k].settling;
+        Self { training: self.training.iter().copied().filter(settles).collect(), ..self.clone() }
     }
 
     /// Whether a part of the steps is enough to sort out.
@@ -255,8 +265,12 @@ impl<'a> Measured<'a> {
             + 1
     }
 
-    /// Offsets of what drives a step: one in each half cycle, where it is noisy.
+    /// Offsets of what drives a step: one in each half cycle, where it is noisy; more where that is all there is to tell a number by,
+    /// since noise within half a slow cycle moves the mass by more than the displacement sensor's.
     fn offsets(&self, window: &Window) -> usize {
+        if window.settling {
+            return FINE * (self.knots(window) - 1);
+        }
         let noisy = window.drive_noise_m_s2 > QUIET * self.table_noise_m_s2;
         let half_cycles = 2 * (self.knots(window) - 1);
         if noisy && half_cycles <= OFFSETS { half_cycles } else { 0 }
