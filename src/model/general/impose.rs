@@ -86,7 +86,8 @@ impl<const N: usize> General<N> {
         if p < free {
             return;
         }
-        if rate > 0.0 && force >= 0.0 {
+        // As in free motion: it presses in, or comes back more slowly than the tip.
+        if rate >= 0.0 || force > 0.0 {
             self.mode.contact[side] = true;
         } else {
             self.mode.tips[side] = Tip { deformation_m: p.max(0.0), since_s: self.time_s };

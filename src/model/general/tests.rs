@@ -72,6 +72,27 @@ fn imposing_the_simulated_motion_returns_the_simulated_force() {
 }
 
 #[test]
+fn a_blow_that_turned_between_two_samples_is_felt_on_the_way_back() {
+    let mut spec = b1_g2();
+    spec.effects.push(effect("bumper-stiffening", &[("kb3_n_m3", 3e8)]));
+    let bumper = spec.bumper.as_mut().expect("has bumpers");
+    (bumper.stiffness_n_m, bumper.damping_n_s_m, bumper.total_gap_m) = (140e3, 0.0, 0.012);
+    let mut specimen = build(&spec, DT).expect("builds");
+    specimen.impose(0.0059, 0.1);
+    // A tip without damping follows the mass: it pushes for as long as it is pressed in.
+    for (p, v) in [(4e-5, -0.02), (3e-5, -0.04), (1e-5, -0.06), (-2e-5, -0.08)] {
+        let felt = specimen.impose(0.006 + p, v).right_contact_force_n;
+        let expected = if p > 0.0 { 140e3 * p + 3e8 * p * p * p } else { 0.0 };
+        assert!((felt - expected).abs() < 1e-6, "{p} m, {v} m/s: {felt} N, not {expected}");
+    }
+    // One with much damping stays behind where it was pushed to.
+    spec.bumper.as_mut().expect("has bumpers").damping_n_s_m = 10e3;
+    let mut specimen = build(&spec, DT).expect("builds");
+    specimen.impose(0.0059, 0.1);
+    assert!(specimen.impose(0.006 + 4e-5, -0.02).right_contact_force_n == 0.0);
+}
+
+#[test]
 fn an_imposed_motion_starts_undeformed_whatever_pulls_at_the_mass() {
     // In its equilibrium the soft spring would be stretched by a metre, its hysteresis and the joint with it.
     let mut free = oscillator(1.0, 1e3, 10.0);
