@@ -1,6 +1,7 @@
 //! The last fit of a model that is to follow a run: numbers that no steady step tells (a slope beyond the last knee) from the cycles
 //! in which the mass goes farther than in any of them. Called where a model is written to a file.
 
+use super::by_response::FURTHER_ON;
 use super::search::{Effort, Searcher, UNSEEN};
 use super::trial::Trial;
 use crate::identify::kinematics::Tolerances;
@@ -9,7 +10,7 @@ use crate::identify::motion::Motion;
 use crate::model::ModelSpec;
 use crate::record::Record;
 
-const SETTINGS: Settings = Settings { iterations: 30, tolerance: 1e-6, difference: 1e-3 };
+const SETTINGS: Settings = Settings { iterations: 30, ..FURTHER_ON };
 
 /// A fitted explanation with those of its numbers that the steady steps leave as they were given fitted to the cycles in which the mass
 /// goes farther, from where they are and from where the force along the motion puts them; everything else moves within what the steady

@@ -182,8 +182,9 @@ impl Motion {
         // In a part of a record without steps the table need not come back; it does in the whole.
         let parts =
             self.windows.windows(2).any(|two| !two[1].settling && two[1].warm_from < two[0].range.end);
-        let of = |window: &Window| zero(if parts { 0..self.drive_m_s2.len() } else { window.range.clone() });
-        let zeros: Vec<(f64, f64)> = self.windows.iter().map(of).collect();
+        let whole = parts.then(|| zero(0..self.drive_m_s2.len()));
+        let own = |window: &Window| whole.unwrap_or_else(|| zero(window.range.clone()));
+        let zeros: Vec<(f64, f64)> = self.windows.iter().map(own).collect();
         // While it settles the table does not come back: zeros are as in the steady stretch before. A sample that several windows
         // share, as what warms them up, is corrected once.
         let mut done = vec![false; self.drive_m_s2.len()];
