@@ -9,14 +9,14 @@ use shaketable::sweep::{Generator, SweepSpec};
 /// Samples of a cell with many contacts, and what belongs to them.
 fn observations(setup: &Setup) -> Vec<Observation> {
     let mut rig = setup.simulated_rig().expect("built");
-    let mut model = setup.onboard_model().expect("model");
+    let mut model = setup.onboard().expect("model");
     let mut generator = Generator::new(&setup.schedule().expect("schedule"), setup.rig.sample_rate_hz);
     let mut reference = generator.next_point();
     let mut observations = Vec::new();
     while observations.len() < 20_480 {
         rig.advance();
         while let Ok(Some(sample)) = rig.read() {
-            let response = model.step(sample.channels.table_acceleration_m_s2);
+            let response = model.follow(&sample);
             observations.push(Observation { sample, reference, response });
         }
         reference = generator.next_point();

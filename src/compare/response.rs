@@ -5,7 +5,7 @@ use super::window::Window;
 use crate::model::system::System;
 use crate::model::{ModelSpec, Observer, Regime, Specimen, build};
 use crate::record::{Kind, Record};
-use crate::signal::hann;
+use crate::signal::{TableNoise, hann, table_acceleration, table_noise};
 use rand::{Rng, SeedableRng};
 use serde::Serialize;
 use std::ops::Range;
@@ -59,6 +59,8 @@ pub struct Measured {
     pub mass_kg: f64,
     /// Table acceleration that drives the model, m/s2; empty for `component`.
     pub drive: Vec<f64>,
+    /// Noise of the two sensors that tell the motion of the table together; absent where the accelerometer alone does.
+    pub table: Option<TableNoise>,
     /// Acceleration, m/s2.
     pub a: Vec<f64>,
     /// Displacement, m.
@@ -84,9 +86,10 @@ impl Measured {
             channel.iter_mut().for_each(|x| *x -= mean);
             channel
         };
+        let mut table = None;
         let (drive, a, d) = match record.kind {
             Kind::Base => (
-                zeroed(record.table_acceleration_m_s2.clone()),
+                zeroed(driving(record, &mut table)),
                 zeroed(record.mass_acceleration_m_s2()),
                 record.relative_displacement_m.clone(),
             ),
@@ -105,7 +108,7 @@ impl Measured {
         let cycle = windows.iter().filter(|w| w.frequency_hz.is_some()).map(|w| w.cycle_samples(rate)).min();
         let cycle = cycle.unwrap_or_else(|| typical_cycle(if d.is_empty() { &a } else { &d }));
         let d = if record.kind == Kind::Component { d } else { without_offset(d, notes) };
-        Ok(Self { kind: record.kind, dt_s: 1.0 / rate, mass_kg, drive, a, d, cycle })
+        Ok(Self { kind: record.kind, dt_s: 1.0 / rate, mass_kg, drive, table, a, d, cycle })
     }
 
     /// Number of samples.
@@ -150,6 +153,14 @@ impl Measured {
             (place > 0.1 * rms && place > 4.0 * noise) || (speed > 0.1 * rms && speed > 6.0 * noise / turn);
         if moves { (2 * self.cycle).min(n / 5) } else { 0 }
     }
+}
+
+/// Acceleration of the table as it drives the model on board, m/s2.
+fn driving(record: &Record, noise: &mut Option<TableNoise>) -> Vec<f64> {
+    let (x, a) = (&record.table_displacement_m, &record.table_acceleration_m_s2);
+    let together = table_acceleration(x, a, record.sample_rate_hz);
+    *noise = together.is_some().then(|| TableNoise::of(x, a));
+    together.unwrap_or_else(|| a.clone())
 }
 
 /// Mean that whole cycles do not enter: weighted with a Hann window over the channel.
@@ -287,17 +298,25 @@ impl Run<'_> {
     }
 }
 
-/// White noise like that of the driving channel, once more: what it makes of the response is what the
+/// Noise like that of the driving channel, once more: what it makes of the response is what the
 /// noise already there has made. Empty where the drive is not measured or silent.
 ///
 /// `input_noise` is in the unit of the record's input channel.
 pub fn drive_noise(measured: &Measured, input_noise: f64) -> Vec<f64> {
     let sigma = if measured.kind == Kind::Force { input_noise / measured.mass_kg } else { input_noise };
-    match rand_distr::Normal::new(0.0, sigma) {
+    let white = |sigma: f64, seed: u64| match rand_distr::Normal::new(0.0, sigma) {
         Ok(normal) if sigma > 0.0 => {
-            let random = rand_pcg::Pcg64::seed_from_u64(1);
+            let random = rand_pcg::Pcg64::seed_from_u64(seed);
             random.sample_iter(normal).take(measured.drive.len()).collect()
         }
         _ => Vec::new(),
+    };
+    match measured.table {
+        Some(noise) if sigma > 0.0 => {
+            let (mut x, a) = (white(noise.displacement_m, 2), white(sigma, 1));
+            x.resize(a.len(), 0.0);
+            table_noise(&x, &a, 1.0 / measured.dt_s, noise)
+        }
+        _ => white(sigma, 1),
     }
 }

@@ -15,5 +15,6 @@ pub mod timing;
 pub use chain::{Chain, Conditioned};
 pub use clock::{Clock, Tick, VirtualClock, WallClock};
 pub use event::{Ending, Event, Nrmse, StepDirection, StepSummary};
+pub use onboard::Onboard;
 pub use step::{Controller, Parts, Request};
 pub use timing::{Percentiles, Phase, StepTimes, Timing, TimingReport};

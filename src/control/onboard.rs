@@ -1,7 +1,35 @@
-//! The onboard model as it is compared with measurements: the specimen seen through the instruments that
-//! its model has, so that a model with a `laser-gain` predicts what the laser says.
+//! The onboard model as it is compared with measurements: driven by the motion of the table as its accelerometer and its displacement
+//! tell it together, and the specimen seen through the instruments that its model has, so that a model with a `laser-gain` predicts what
+//! the laser says. The control step lets it follow every sample.
 
 use crate::model::{Observer, Response, Specimen};
+use crate::rig::RigSpec;
+use crate::signal::{TableMotion, TableNoise};
+use crate::stream::Sample;
+
+/// The onboard model with what drives it.
+pub struct Onboard {
+    model: Box<dyn Specimen>,
+    table: TableMotion,
+}
+
+impl Onboard {
+    /// A model made for one step a sample period of the rig, on a table at rest.
+    pub fn new(model: Box<dyn Specimen>, rig: &RigSpec) -> Self {
+        let noise = TableNoise {
+            displacement_m: rig.sensors.table_displacement_noise_m,
+            acceleration_m_s2: rig.sensors.accelerometer_noise_m_s2,
+        };
+        Self { model, table: TableMotion::new(rig.sample_rate_hz, noise) }
+    }
+
+    /// The response to the next sample.
+    pub fn follow(&mut self, sample: &Sample) -> Response {
+        let c = &sample.channels;
+        let table = self.table.process(sample.sequence, c.table_displacement_m, c.table_acceleration_m_s2);
+        self.model.step(table)
+    }
+}
 
 /// A specimen whose response is what the instruments of its model say.
 pub(super) struct Observed {

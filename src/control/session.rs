@@ -4,10 +4,10 @@
 
 use super::clock::{Clock, VirtualClock, WallClock};
 use super::event::{Ending, Event, Nrmse, StepSummary};
+use super::onboard::Onboard;
 use super::step::{Controller, Parts, Request};
 use super::thread::{RealTime, release_memory, set_up};
 use super::timing::TimingReport;
-use crate::model::Specimen;
 use crate::record::recorder::{Notice, Recorded, Recorder};
 use crate::record::{Manifest, RunError, RunFolder};
 use crate::rig::Rig;
@@ -64,8 +64,8 @@ pub struct Plan {
     pub rig: Box<dyn Rig>,
     /// The command.
     pub generator: Generator,
-    /// The onboard model, made for one step a sample period.
-    pub model: Box<dyn Specimen>,
+    /// The onboard model.
+    pub model: Onboard,
     /// Detectors, supervisor and stops; `None` for a replayed record.
     pub guard: Option<Guard>,
     /// How time passes.

@@ -1,14 +1,14 @@
 //! From configurations to a run: checks that the sweep fits the rig, builds specimen, onboard model and
 //! rig, and writes down what was asked. Used by the command line, campaigns and the daemon.
 
-use super::onboard::Observed;
+use super::onboard::{Observed, Onboard};
 use super::recorded::points_of_rows;
 use super::session::{Pace, Plan};
 use super::thread::prioritise_link;
 use crate::config::{Case, ConfigError};
 use crate::model::observe::Instruments;
 use crate::model::system::System;
-use crate::model::{ModelError, ModelSpec, Observer, Specimen, build, paper};
+use crate::model::{ModelError, ModelSpec, Observer, build, paper};
 use crate::record::Manifest;
 use crate::rig::hardware::{HardwareError, HardwareMonitor, HardwareRig, HardwareSpec, Preflight};
 use crate::rig::replay::ReplayRig;
@@ -93,19 +93,20 @@ impl Setup {
         Ok(Preview::new(&self.schedule()?, &self.rig.capacity(), moving_kg, self.rig.table.friction_n))
     }
 
-    /// The onboard model, made for one step a sample period.
+    /// The onboard model, made for one step a sample period of the rig.
     ///
     /// # Errors
     /// [`SetupError::Model`].
-    pub fn onboard_model(&self) -> Result<Box<dyn Specimen>, SetupError> {
+    pub fn onboard(&self) -> Result<Onboard, SetupError> {
         let role = |source| SetupError::Model { role: "model", source };
         let step_s = 1.0 / self.rig.sample_rate_hz;
         let specimen = build(&self.model, step_s).map_err(role)?;
         let instruments = System::compile(&self.model, step_s).map_err(role)?.instruments;
         if instruments == Instruments::default() {
-            return Ok(specimen);
+            return Ok(Onboard::new(specimen, &self.rig));
         }
-        Ok(Box::new(Observed::new(specimen, Observer::from_instruments(instruments, step_s))))
+        let observer = Observer::from_instruments(instruments, step_s);
+        Ok(Onboard::new(Box::new(Observed::new(specimen, observer)), &self.rig))
     }
 
     /// The simulated rig with its specimen.
@@ -215,7 +216,7 @@ impl Setup {
             manifest: setup.manifest(Pace::Virtual)?,
             rig: Box::new(ReplayRig::new(samples, delay_s)),
             generator: command,
-            model: setup.onboard_model()?,
+            model: setup.onboard()?,
             guard: Some(setup.guard(delay_s)?),
             pace: Pace::Virtual,
             depths: Depths::for_rate(self.rig.sample_rate_hz),
@@ -235,7 +236,7 @@ impl Setup {
             manifest: self.manifest(pace)?,
             rig: Box::new(rig),
             generator: Generator::new(&self.schedule()?, self.rig.sample_rate_hz),
-            model: self.onboard_model()?,
+            model: self.onboard()?,
             guard: Some(self.guard(delay_s)?),
             pace,
             depths: Depths::for_rate(self.rig.sample_rate_hz),
@@ -282,7 +283,7 @@ impl Setup {
             manifest,
             rig: Box::new(rig),
             generator: Generator::new(&self.schedule()?, self.rig.sample_rate_hz),
-            model: self.onboard_model()?,
+            model: self.onboard()?,
             guard: Some(self.guard(delay_s)?),
             pace,
             depths: Depths::for_rate(self.rig.sample_rate_hz),

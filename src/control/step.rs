@@ -5,9 +5,10 @@
 use super::chain::{Chain, Conditioned};
 use super::clock::{Tick, now_ns};
 use super::event::{Ending, Event};
+use super::onboard::Onboard;
 use super::reference::References;
 use super::timing::{Phase, StepTimes, Timing, TimingReport};
-use crate::model::{Response, Specimen};
+use crate::model::Response;
 use crate::rig::{Rig, RigFault};
 use crate::safety::{Ask, DetectorId, Guard, Heart, Observation, Outcome, Period, State};
 use crate::stream::{Command, ControlEnd, Row, Sample};
@@ -63,8 +64,8 @@ pub struct Parts {
     pub rig: Box<dyn Rig>,
     /// The command.
     pub generator: Generator,
-    /// The onboard model, made for one step a sample period.
-    pub model: Box<dyn Specimen>,
+    /// The onboard model.
+    pub model: Onboard,
     /// Detectors, supervisor and stops; `None` for a replayed record, which moves nothing.
     pub guard: Option<Guard>,
     /// The control thread's end of the rings.
@@ -77,7 +78,7 @@ pub struct Parts {
 pub struct Controller {
     rig: Box<dyn Rig>,
     generator: Generator,
-    model: Box<dyn Specimen>,
+    model: Onboard,
     end: ControlEnd<Event, Request>,
     chain: Chain,
     references: References,
@@ -299,9 +300,9 @@ impl Controller {
         self.lap(Phase::Condition);
     }
 
-    /// Lets the onboard model follow the measured table acceleration and compares.
+    /// Lets the onboard model follow the measured table and compares.
     fn predict(&mut self) {
-        self.now.response = self.model.step(self.now.sample.channels.table_acceleration_m_s2);
+        self.now.response = self.model.follow(&self.now.sample);
         if let Some(step) = self.chain.compare(&self.now.reference, &self.now.conditioned, &self.now.response)
         {
             self.end.event(Event::Step(step));

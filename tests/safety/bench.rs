@@ -80,7 +80,7 @@ impl Bench {
         let parts = Parts {
             rig: Box::new(Shown { rig, folded: folded.clone() }),
             generator: Generator::new(&setup.schedule().expect("schedule"), rate),
-            model: setup.onboard_model().expect("model"),
+            model: setup.onboard().expect("model"),
             guard: Some(guard),
             end,
             sample_rate_hz: rate,

@@ -105,7 +105,7 @@ fn watches(setup: &Setup, delay_s: f64) -> Vec<Watch> {
 fn trial(setup: &Setup) -> Trial {
     let mut rig = setup.simulated_rig().expect("built");
     let mut generator = Generator::new(&setup.schedule().expect("schedule"), setup.rig.sample_rate_hz);
-    let mut model = setup.onboard_model().expect("model");
+    let mut model = setup.onboard().expect("model");
     let mut watches = watches(setup, rig.chain_delay_s());
     let was_run = setup.case.as_ref().is_some_and(was_run);
     let none = [None; FACTORS.len()];
@@ -115,7 +115,7 @@ fn trial(setup: &Setup) -> Trial {
         rig.advance();
         let time_s = generator.time_s();
         while let (Ok(Some(sample)), Some(reference)) = (rig.read(), last) {
-            let response = model.step(sample.channels.table_acceleration_m_s2);
+            let response = model.follow(&sample);
             let observation = Observation { sample, reference, response };
             for (watch, trip) in watches.iter_mut().zip(&mut trial.trips_s) {
                 watch.observe(&observation);

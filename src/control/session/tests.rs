@@ -1,5 +1,6 @@
 use super::*;
-use crate::model::Response;
+use crate::control::Onboard;
+use crate::model::{Response, Specimen};
 use crate::record::samples::SampleReader;
 use crate::rig::RigSpec;
 use crate::rig::simulated::{FaultSwitches, SimulatedRig, SimulatedSpec, chain_delay_s};
@@ -49,7 +50,7 @@ fn plan(out: &std::path::Path, pace: Pace, seed: u64, low_hz: f64, high_hz: f64)
         manifest: Manifest::new("test", 2048.0),
         rig: Box::new(rig),
         generator: Generator::new(&schedule, 2048.0),
-        model: Box::new(Rigid { a: 0.0 }),
+        model: Onboard::new(Box::new(Rigid { a: 0.0 }), &RigSpec::default()),
         guard: Some(guard()),
         pace,
         depths: Depths::default(),
