@@ -264,17 +264,16 @@ impl Searcher<'_> {
         let mut finalists: Vec<Trial> =
             parallel::map(&tried, parallel::cores(), arrived).into_iter().flatten().collect();
         best_first(&mut finalists, from);
-        // The other starts of the best, and of those that come near it: a likelihood with several summits. Of a long record they need
-        // not be looked for where the best brings nothing.
-        let looked_for =
-            !measured.is_long() || finalists.first().is_some_and(|best| verdict::apart(best, from) > 0.0);
+        // Of a long record nothing better need be looked for where the best brings nothing.
+        if measured.is_long() && finalists.first().is_none_or(|best| verdict::apart(best, from) <= 0.0) {
+            return finalists;
+        }
+        // The other starts of the best, and of those that come near it: a likelihood with several summits.
         let near = |name: &str| {
             let near = |trial: &&Trial| verdict::apart(&finalists[0], trial) < NEARBY;
             finalists.iter().filter(near).any(|trial| verdict::last_name(trial) == name)
         };
-        others.retain(|(spec, _, _)| {
-            looked_for && spec.effects.last().is_some_and(|effect| near(&effect.name))
-        });
+        others.retain(|(spec, _, _)| spec.effects.last().is_some_and(|effect| near(&effect.name)));
         finalists.extend(parallel::map(&others, parallel::cores(), arrived).into_iter().flatten());
         best_first(&mut finalists, from);
         if let Some(best) = finalists.first_mut() {

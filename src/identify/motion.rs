@@ -8,6 +8,7 @@
 
 use super::kinematics::{self, Instruments, Tolerances};
 use super::spectral::{Spectrum, white_noise_rms};
+use super::table::Table;
 use super::together::Source;
 use super::windows;
 use crate::parallel;
@@ -34,6 +35,8 @@ pub struct Window {
     pub source: usize,
     /// Noise that is left in what drives a simulation, m/s2 rms a sample over the window.
     pub drive_noise_m_s2: f64,
+    /// Noise on a sine of the main frequency in it, m/s2 rms a sample.
+    pub wave_noise_m_s2: f64,
 }
 
 /// The motion of one record.
@@ -57,6 +60,10 @@ pub struct Motion {
     pub laser_m: Vec<f64>,
     /// Steady stretches.
     pub windows: Vec<Window>,
+    /// Below this frequency the table's displacement tells what drives a base record, rad/s; 0 where its accelerometer alone does.
+    pub table_crossover_rad_s: f64,
+    /// Deviation of the gain between both.
+    pub table_gain_sigma: f64,
     /// Noise of the restoring force over the mass, m/s2 rms a sample.
     pub restoring_noise_m_s2: f64,
     /// Noise of the laser, m rms a sample.
@@ -256,11 +263,14 @@ fn base(record: &Record, found: Option<Instruments>) -> Result<Motion, MotionErr
         *x /= i.laser_gain.value;
     }
     let noise_mass = 0.5 * a1.noise_m_s2.hypot(a2.noise_m_s2);
-    let relative: Vec<f64> = mass.iter().zip(table).map(|(a, t)| a - t).collect();
+    let both = Table::of(record, i.table_noise_m_s2);
+    let relative: Vec<f64> = mass.iter().zip(&both.acceleration_m_s2).map(|(a, t)| a - t).collect();
     let fused = fuse(&laser, i.laser_noise_m, &relative, noise_mass.hypot(i.table_noise_m_s2), rate);
     Ok(Motion {
         restoring_m_s2: mass.iter().map(|a| -a).collect(),
-        drive_m_s2: table.to_vec(),
+        drive_m_s2: both.acceleration_m_s2,
+        table_crossover_rad_s: both.crossover_rad_s,
+        table_gain_sigma: both.gain_sigma,
         laser_m: laser,
         restoring_noise_m_s2: noise_mass,
         laser_noise_m: i.laser_noise_m,
@@ -342,6 +352,8 @@ impl Fused {
             drive_m_s2: Vec::new(),
             laser_m: Vec::new(),
             windows: Vec::new(),
+            table_crossover_rad_s: 0.0,
+            table_gain_sigma: 0.0,
             restoring_noise_m_s2: 0.0,
             laser_noise_m: 0.0,
             displacement_noise_m: self.displacement_noise_m,

@@ -1,26 +1,170 @@
-//! What drives the simulation of a base record: the table's acceleration without the noise of its accelerometer, as far as the table
-//! moves periodically. Called once when a record is made ready.
+//! What drives the simulation of a base record: the table's acceleration with as little as possible of the noise of its accelerometer. Below
+//! some Hz the table's displacement knows it better, where it was measured; where the table moves periodically, its harmonics alone are
+//! taken. Called once when a record is made ready.
 
 use super::motion::Motion;
 use super::periodic::{periodic, smooth};
-use crate::record::Kind;
+use crate::record::{Kind, Record};
+use crate::signal::TableNoise;
+use nalgebra::{Matrix3, Vector3};
+use std::f64::consts::TAU;
 
 /// A motion with more than this share of its sine beside it is no steady step with kicks, and is taken as it is.
 const STEADY: f64 = 0.2;
 /// Cycles of so many samples and more are long against what is smoothed.
 const LONG: f64 = 320.0;
+/// What is left between both sensors of the table below the crossover may have so many times the power of their noise: a displacement sensor
+/// that is not linear bends the drive.
+const NOISE: f64 = 2.0;
+/// Crossovers that are worth it, rad/s, and that second differences stand for a derivative at, rad a sample.
+const LOWEST_RAD_S: f64 = 3.0;
+const HIGHEST: f64 = 0.1;
+/// Shortest step, periods of the crossover over 2 pi.
+const SHORTEST: f64 = 10.0;
+/// Deviation of gain, lead (s) and zero of the accelerometer (m/s2) beforehand.
+const EXPECTED: Vector3<f64> = Vector3::new(0.05, 5e-3, 1.0);
+const COLUMNS: usize = 4;
+
+/// The acceleration of the table, from both of its sensors.
+pub(super) struct Table {
+    /// m/s2.
+    pub acceleration_m_s2: Vec<f64>,
+    /// Frequency at which both sensors are equally noisy, rad/s: below it the displacement tells the motion. 0 for an accelerometer alone.
+    pub crossover_rad_s: f64,
+    /// Deviation of the gain between both, of the whole record.
+    pub gain_sigma: f64,
+}
+
+impl Table {
+    /// From a record; the noise of the accelerometer is a deviation a sample.
+    ///
+    /// The most probable motion given both sensors and their white noise, within each step, so that a record may be put together from
+    /// stretches: Whittaker's smoother, in whose middle the displacement has the weight `1 / (1 + (w / w_c)^4)`, `w_c^2` the ratio of the
+    /// noise of both, and the acceleration the rest (Eilers, Analytical Chemistry 75, 2003). Gain and delay of the displacement
+    /// are taken to be the accelerometer's (generalised least squares). A displacement that differs by more than noise is left alone.
+    pub fn of(record: &Record, accelerometer_noise_m_s2: f64) -> Self {
+        fused(record, accelerometer_noise_m_s2).unwrap_or_else(|| Self {
+            acceleration_m_s2: record.table_acceleration_m_s2.clone(),
+            crossover_rad_s: 0.0,
+            gain_sigma: 0.0,
+        })
+    }
+}
+
+fn fused(record: &Record, noise_m_s2: f64) -> Option<Table> {
+    let (x, a) = (&record.table_displacement_m, &record.table_acceleration_m_s2);
+    let dt = 1.0 / record.sample_rate_hz;
+    let noise_m = TableNoise::of(x, a).displacement_m;
+    let crossover_rad_s = (noise_m_s2 / noise_m).sqrt();
+    let usable = x.len() == a.len() && x.iter().all(|x| x.is_finite()) && crossover_rad_s.is_finite();
+    if !usable || !(LOWEST_RAD_S..=HIGHEST / dt).contains(&crossover_rad_s) {
+        return None;
+    }
+    let smoothness = (crossover_rad_s * dt).powi(-4);
+    // What the displacement says less what the accelerometer does, and what it may be made of: gain, lead and zero of the accelerometer.
+    let mut steps: Vec<(usize, [Vec<f64>; 2 * COLUMNS])> = Vec::new();
+    let mut ranges: Vec<_> = record.step_ranges().into_iter().map(|(_, range)| range).collect();
+    if ranges.is_empty() {
+        ranges.push(0..a.len());
+    }
+    for range in ranges {
+        if range.len() as f64 * dt * crossover_rad_s < SHORTEST {
+            continue;
+        }
+        let inner = range.start + 1..range.end - 1;
+        let of = |value: &dyn Fn(usize) -> f64| inner.clone().map(value).collect::<Vec<f64>>();
+        let columns = [
+            of(&|n| (x[n - 1] - 2.0 * x[n] + x[n + 1]) / (dt * dt) - a[n]),
+            of(&|n| a[n]),
+            of(&|n| (a[n + 1] - a[n - 1]) / (2.0 * dt)),
+            vec![1.0; inner.len()],
+        ];
+        let [apart, gain, lead, zero] = columns.clone().map(|column| smoothed(column, smoothness));
+        let [c0, c1, c2, c3] = columns;
+        steps.push((inner.start, [c0, c1, c2, c3, apart, gain, lead, zero]));
+    }
+    let mut normal = Matrix3::from_diagonal(&EXPECTED.map(|sigma| (noise_m_s2 / sigma).powi(2)));
+    let mut right = Vector3::zeros();
+    for (_, columns) in &steps {
+        let dot = |i: usize, j: usize| -> f64 {
+            columns[i].iter().zip(&columns[COLUMNS + j]).map(|(x, y)| x * y).sum()
+        };
+        normal += Matrix3::from_fn(|i, j| dot(i + 1, j + 1));
+        right += Vector3::from_fn(|i, _| dot(i + 1, 0));
+    }
+    let inverse = normal.cholesky()?.inverse();
+    let found = inverse * right;
+    let mut acceleration_m_s2: Vec<f64> = a.iter().map(|a| a + found[2]).collect();
+    let (mut squares, mut count) = (0.0, 0);
+    for (start, [.., apart, gain, lead, zero]) in &steps {
+        for (i, apart) in apart.iter().enumerate() {
+            let left = apart - found[0] * gain[i] - found[1] * lead[i] - found[2] * zero[i];
+            acceleration_m_s2[start + i] += left;
+            squares += left * left;
+        }
+        count += apart.len();
+    }
+    // The integral of the weight over all frequencies.
+    let expected = noise_m_s2.powi(2) * crossover_rad_s * dt / 8.0_f64.sqrt();
+    let agrees = count > 0 && squares <= NOISE * expected * count as f64;
+    agrees.then(|| Table {
+        acceleration_m_s2,
+        crossover_rad_s,
+        gain_sigma: noise_m_s2 * inverse[(0, 0)].sqrt(),
+    })
+}
+
+/// Solves `(1 + s D D') z = r`, `D` second differences, in place (Cholesky without roots of a matrix with five diagonals).
+fn smoothed(mut r: Vec<f64>, s: f64) -> Vec<f64> {
+    let n = r.len();
+    // Pivot and the two entries of L below it.
+    let mut factor = vec![(1.0, 0.0, 0.0); n];
+    for i in 0..n {
+        let (d1, l1, _) = if i > 0 { factor[i - 1] } else { (0.0, 0.0, 0.0) };
+        let (d2, _, m2) = if i > 1 { factor[i - 2] } else { (0.0, 0.0, 0.0) };
+        let m1 = if i > 0 { factor[i - 1].2 } else { 0.0 };
+        let pivot = 1.0 + 6.0 * s - d1 * l1 * l1 - d2 * m2 * m2;
+        factor[i] = (pivot, (-4.0 * s - d1 * l1 * m1) / pivot, s / pivot);
+        if i > 0 {
+            r[i] -= l1 * r[i - 1];
+        }
+        if i > 1 {
+            r[i] -= m2 * r[i - 2];
+        }
+    }
+    for i in (0..n).rev() {
+        r[i] /= factor[i].0;
+        if i + 1 < n {
+            r[i] -= factor[i].1 * r[i + 1];
+        }
+        if i + 2 < n {
+            r[i] -= factor[i].2 * r[i + 2];
+        }
+    }
+    r
+}
 
 impl Motion {
     /// What drives a simulation has no noise where the table moves periodically, and less where impacts kick it alike in every
     /// cycle; a window tells what noise is left.
     pub(super) fn remove_noise_of_the_table(&mut self) {
         if self.kind != Kind::Base {
+            let noise = self.restoring_noise_m_s2;
+            self.windows.iter_mut().for_each(|window| window.wave_noise_m_s2 = noise);
             return;
         }
         let rate = self.sample_rate_hz;
         let noise = self.instruments.as_ref().map_or(0.0, |i| i.table_noise_m_s2);
+        let crossover = self.table_crossover_rad_s;
+        // Noise that the displacement does not take away, over the accelerometer's: at a frequency, and up to one, in power.
+        let over = |hz: f64| (TAU * hz / crossover.max(1e-9)).powi(4);
+        let at = |hz: f64| over(hz) / (1.0 + over(hz));
+        let up_to = |hz: f64| (0..16).map(|i| at((i as f64 + 0.5) / 16.0 * hz)).sum::<f64>() / 16.0;
         for window in &mut self.windows {
             let range = window.warm_from..window.range.end;
+            window.wave_noise_m_s2 = noise * at(window.frequency_hz).sqrt();
+            let cycle = if window.settling { 8.0 } else { 2.0 };
+            let noise = noise * up_to(cycle * window.frequency_hz).sqrt();
             window.drive_noise_m_s2 = noise;
             if window.settling {
                 continue;
@@ -49,6 +193,114 @@ impl Motion {
             let drive =
                 of_wave.map(|((wave, rest), still)| if found.white && *still { *wave } else { wave + rest });
             self.drive_m_s2[range].iter_mut().zip(drive).for_each(|(to, drive)| *to = drive);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng};
+    use rand_distr::StandardNormal;
+
+    const RATE_HZ: f64 = 2048.0;
+    const STEP: usize = 8192;
+    const NOISE_M: f64 = 2e-5;
+    const NOISE_M_S2: f64 = 0.02;
+    /// Kicks of impacts, m/s2 and s.
+    const KICK: (f64, f64) = (0.5, 0.01);
+
+    /// A record of three steps of sines, whose phase and with it the velocity jump from step to step, and the acceleration as it is.
+    fn record(bent: f64, seed: u64) -> (Record, Vec<f64>) {
+        let random = &mut rand_pcg::Pcg64::seed_from_u64(seed);
+        let mut noise = |rms: f64| rms * random.sample::<f64, _>(StandardNormal);
+        let mut record = Record::empty("test", Kind::Base, RATE_HZ);
+        let mut truth = Vec::new();
+        for (step, hz) in [0.6, 0.7, 0.8].into_iter().enumerate() {
+            let w = TAU * hz;
+            let (mut velocity_m_s, mut kicked_m) = (0.0, 0.0);
+            for n in 0..STEP {
+                let t = n as f64 / RATE_HZ;
+                let kick = if t.rem_euclid(0.9) < KICK.1 { KICK.0 } else { 0.0 };
+                velocity_m_s += kick / RATE_HZ;
+                kicked_m += velocity_m_s / RATE_HZ;
+                let x = 0.02 * (w * t + step as f64).sin() + kicked_m;
+                let a = kick - 0.02 * w * w * (w * t + step as f64).sin();
+                truth.push(a);
+                record.step.push(step as i32);
+                record.table_displacement_m.push(1.002 * x + bent * x * x + noise(NOISE_M));
+                record.table_acceleration_m_s2.push(a + 0.015 + noise(NOISE_M_S2));
+            }
+        }
+        (record, truth)
+    }
+
+    /// RMS of what is left of a difference below 0.8 Hz, over all steps.
+    fn slow(one: &[f64], two: &[f64]) -> f64 {
+        let apart: Vec<f64> = one.iter().zip(two).map(|(a, b)| a - b).collect();
+        let smoothness = (TAU * 0.8 / RATE_HZ).powi(-4);
+        let slow = apart.chunks(STEP).flat_map(|step| smoothed(step.to_vec(), smoothness));
+        (slow.map(|x| x * x).sum::<f64>() / apart.len() as f64).sqrt()
+    }
+
+    #[test]
+    fn slow_noise_is_taken_out_although_the_displacement_jumps_from_step_to_step() {
+        let (mut before, mut after) = (0.0, 0.0);
+        for seed in 0..8 {
+            let (record, truth) = record(0.0, seed);
+            let found = Table::of(&record, NOISE_M_S2);
+            let raw: Vec<f64> = record.table_acceleration_m_s2.iter().map(|a| a - 0.015).collect();
+            before += slow(&raw, &truth).powi(2);
+            let crossover = found.crossover_rad_s / (NOISE_M_S2 / NOISE_M).sqrt();
+            assert!((0.95..1.05).contains(&crossover), "{crossover}");
+            // The accelerometer's gain stays, and how well it can be told is told.
+            let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+            let gain = dot(&found.acceleration_m_s2, &truth) / dot(&truth, &truth) - 1.0;
+            assert!(gain.abs() < 4.0 * found.gain_sigma + 1e-5, "{gain} of {}", found.gain_sigma);
+            assert!((2e-5..2e-3).contains(&found.gain_sigma), "{}", found.gain_sigma);
+            after += slow(&found.acceleration_m_s2, &truth).powi(2);
+        }
+        // What stays is mostly how well gain and lead of three sines can be told.
+        assert!(after < 0.3_f64.powi(2) * before, "{after} of {before} m2/s4");
+    }
+
+    #[test]
+    fn a_record_without_steps_is_one() {
+        let (mut record, truth) = record(0.0, 5);
+        for channel in [&mut record.table_displacement_m, &mut record.table_acceleration_m_s2] {
+            channel.truncate(STEP);
+        }
+        record.step.clear();
+        let found = Table::of(&record, NOISE_M_S2);
+        assert!(found.crossover_rad_s > 0.0);
+        let raw: Vec<f64> = record.table_acceleration_m_s2.iter().map(|a| a - 0.015).collect();
+        let (before, after) = (slow(&raw, &truth), slow(&found.acceleration_m_s2, &truth));
+        assert!(after < 0.3 * before, "{after} of {before} m/s2, {}", found.gain_sigma);
+    }
+
+    #[test]
+    fn a_displacement_that_is_bent_or_missing_is_left_alone() {
+        let (mut record, _) = record(0.5, 6);
+        for missing in [false, true] {
+            let found = Table::of(&record, NOISE_M_S2);
+            assert_eq!((found.crossover_rad_s, found.gain_sigma), (0.0, 0.0), "missing: {missing}");
+            assert_eq!(found.acceleration_m_s2, record.table_acceleration_m_s2);
+            record.table_displacement_m.fill(0.0);
+        }
+    }
+
+    #[test]
+    fn smoothing_solves_its_equations() {
+        let (s, random) = (37.0, &mut rand_pcg::Pcg64::seed_from_u64(7));
+        for n in 1..40 {
+            let z: Vec<f64> = (0..n).map(|_| random.sample(StandardNormal)).collect();
+            // D' takes n values to n + 2, as if there were zeros on both sides.
+            let at = |i: isize| usize::try_from(i).ok().and_then(|i| z.get(i)).copied().unwrap_or(0.0);
+            let bend = |i: isize| at(i - 1) - 2.0 * at(i) + at(i + 1);
+            let r = (0..n).map(|i| at(i) + s * (bend(i - 1) - 2.0 * bend(i) + bend(i + 1))).collect();
+            for (found, z) in smoothed(r, s).iter().zip(&z) {
+                assert!((found - z).abs() < 1e-9, "{found} for {z} of {n}");
+            }
         }
     }
 }

@@ -122,6 +122,7 @@ fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
         settling: false,
         source: 0,
         drive_noise_m_s2: 0.0,
+        wave_noise_m_s2: 0.0,
     })
 }
 
@@ -156,6 +157,7 @@ fn equal_parts(n: usize, motion: &Motion) -> Vec<Window> {
             settling: false,
             source: 0,
             drive_noise_m_s2: 0.0,
+            wave_noise_m_s2: 0.0,
         })
         .collect()
 }

@@ -14,9 +14,7 @@ pub use analyzer::{ChannelResult, CyclePlace, HARMONICS, Harmonic, MAX_CYCLES, S
 pub use butterworth::{BandPass, FilterBank};
 pub use low_pass::LowPass;
 pub use offline::{RecordStep, analyse_record, band_pass, fundamental_hz, hann};
-pub use table_motion::{
-    TableAgreement, TableMotion, TableNoise, table_acceleration, table_agreement, table_noise,
-};
+pub use table_motion::{TableMotion, TableNoise, table_acceleration, table_noise};
 
 /// Lower corner of the paper's band-pass, Hz (Andreaus and De Angelis 2020).
 pub const BAND_LOW_HZ: f64 = 0.16;

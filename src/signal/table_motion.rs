@@ -52,7 +52,7 @@ impl TableNoise {
 pub struct TableMotion {
     filter: Complementary,
     sums: Sums,
-    agreement: Option<TableAgreement>,
+    agreement: Option<Agreement>,
     last: Option<(u64, f64, f64)>,
     origin_m: f64,
     period_s: f64,
@@ -119,16 +119,6 @@ pub fn table_acceleration(
     Some(seen.iter().zip(acceleration_m_s2).map(|(seen, a)| a + agreement.correction(seen)).collect())
 }
 
-/// How far a displacement (m) is from an acceleration (m/s2) of equal length; `None` as for [`table_acceleration`].
-pub fn table_agreement(
-    displacement_m: &[f64],
-    acceleration_m_s2: &[f64],
-    sample_rate_hz: f64,
-) -> Option<TableAgreement> {
-    let noise = TableNoise::of(displacement_m, acceleration_m_s2);
-    agreed(displacement_m, acceleration_m_s2, sample_rate_hz, noise).map(|(_, agreement)| agreement)
-}
-
 /// What noise of the two sensors alone makes of [`table_acceleration`], m/s2: channels of noise, m and m/s2, of the sizes `noise`.
 pub fn table_noise(
     displacement_m: &[f64],
@@ -140,7 +130,7 @@ pub fn table_noise(
     displacement_m.iter().zip(acceleration_m_s2).map(|(x, a)| a + filter.process(*x, *a).difference).collect()
 }
 
-fn agreed(x: &[f64], a: &[f64], rate: f64, noise: TableNoise) -> Option<(Vec<Seen>, TableAgreement)> {
+fn agreed(x: &[f64], a: &[f64], rate: f64, noise: TableNoise) -> Option<(Vec<Seen>, Agreement)> {
     if x.len() != a.len() || x.iter().chain(a).any(|value| !value.is_finite()) {
         return None;
     }
@@ -261,12 +251,11 @@ impl Sums {
     }
 
     /// Gain and delay, where the two sensors agree but for them.
-    fn agreement(&self) -> Option<TableAgreement> {
+    fn agreement(&self) -> Option<Agreement> {
         let inverse = self.normal.cholesky()?.inverse();
         let found = inverse * self.right;
-        let agreement = TableAgreement {
+        let agreement = Agreement {
             gain: found[0],
-            gain_sigma: (self.noise * inverse[(0, 0)]).sqrt(),
             delay_s: found[1],
             zero_m_s2: self.normal[(0, 2)] / self.normal[(2, 2)],
         };
@@ -280,18 +269,16 @@ impl Sums {
 
 /// How far the displacement is from the accelerometer.
 #[derive(Clone, Copy, Debug)]
-pub struct TableAgreement {
+struct Agreement {
     /// Relative excess of its gain.
-    pub gain: f64,
-    /// Its deviation.
-    pub gain_sigma: f64,
+    gain: f64,
     /// Its lead, s.
-    pub delay_s: f64,
+    delay_s: f64,
     /// Zero of the accelerometer, m/s2.
-    pub zero_m_s2: f64,
+    zero_m_s2: f64,
 }
 
-impl TableAgreement {
+impl Agreement {
     fn correction(&self, seen: &Seen) -> f64 {
         seen.difference - self.gain * (seen.acceleration - self.zero_m_s2) - self.delay_s * seen.jerk
     }

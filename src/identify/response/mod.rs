@@ -394,7 +394,7 @@ impl<'a> Measured<'a> {
         let drive = &motion.drive_m_s2[window.range.clone()];
         let power = dot(drive, drive).max(1e-300);
         // Of the amplitude of a sine in white noise, relative; its phase is as uncertain.
-        let amplitude = self.table_noise_m_s2 / power.sqrt();
+        let amplitude = (window.wave_noise_m_s2 / power.sqrt()).hypot(motion.table_gain_sigma);
         let w = std::f64::consts::TAU * window.frequency_hz.max(1e-9);
         let offsets = self.offsets(window);
         let half_cycle = window.range.len() as f64 / offsets.max(1) as f64;
