@@ -40,8 +40,14 @@ pub struct Periodic {
     angle: f64,
 }
 
-/// Takes a channel apart that moves with about the given frequency; `None` when it does not.
-pub fn periodic(channel: &[f64], frequency_hz: f64, rate_hz: f64) -> Option<Periodic> {
+/// Takes a channel apart that moves with about the given frequency; `None` when it does not. `share` is the share of the power of white
+/// noise that the channel has at a frequency in Hz.
+pub fn periodic(
+    channel: &[f64],
+    frequency_hz: f64,
+    rate_hz: f64,
+    share: impl Fn(f64) -> f64,
+) -> Option<Periodic> {
     let cycle = rate_hz / frequency_hz.max(1e-9);
     if (channel.len() as f64) < 2.0 * cycle || cycle < 4.0 * HARMONICS as f64 {
         return None;
@@ -69,9 +75,9 @@ pub fn periodic(channel: &[f64], frequency_hz: f64, rate_hz: f64) -> Option<Peri
         // A periodic motion comes back to where it was.
         let zero = std::mem::take(&mut x[0]);
         // Noise that falls on a harmonic is of that noise's size; a harmonic of the table stands out.
-        for pair in x[3..].chunks_exact_mut(2) {
-            if pair[0].powi(2) + pair[1].powi(2) < SIGNIFICANT.powi(2) * 2.0 * variance / channel.len() as f64
-            {
+        for (i, pair) in x[3..].chunks_exact_mut(2).enumerate() {
+            let of_noise = 2.0 * variance * share((i + 2) as f64 * frequency_hz) / channel.len() as f64;
+            if pair[0].powi(2) + pair[1].powi(2) < SIGNIFICANT.powi(2) * of_noise {
                 pair.fill(0.0);
             }
         }
@@ -209,7 +215,7 @@ mod tests {
     #[test]
     fn the_noise_of_a_steady_motion_is_taken_out_although_its_frequency_is_known_to_half_a_percent() {
         let (clean, seen) = noisy(|t| 0.4 * (TAU * 1.3 * t).sin() + 0.02 * (TAU * 3.9 * t).cos(), 1);
-        let smooth = periodic(&seen, 1.3 * 1.005, 2048.0).expect("periodic");
+        let smooth = periodic(&seen, 1.3 * 1.005, 2048.0, |_| 1.0).expect("periodic");
         assert!(smooth.white);
         let smooth = smooth.wave;
         let rms = (clean.iter().zip(&smooth).map(|(a, b)| (a - b).powi(2)).sum::<f64>() / 9000.0).sqrt();
@@ -220,7 +226,7 @@ mod tests {
     fn kicks_of_impacts_stay_and_leave_the_sine_as_it_is() {
         let kick = |t: f64| if t.rem_euclid(0.77) < 0.015 { 0.1 } else { 0.0 };
         let (clean, seen) = noisy(|t| 0.4 * (TAU * 1.3 * t).sin() + kick(t), 5);
-        let found = periodic(&seen, 1.3, 2048.0).expect("periodic");
+        let found = periodic(&seen, 1.3, 2048.0, |_| 1.0).expect("periodic");
         assert!(found.white);
         let kept = found.wave.iter().zip(&found.rest).zip(&found.still);
         let smooth = kept.map(|((wave, rest), still)| if *still { *wave } else { wave + rest });
@@ -238,7 +244,7 @@ mod tests {
     fn kicks_that_come_in_every_cycle_are_averaged_and_others_are_not() {
         let kick = |phase: f64| if (0.2..0.26).contains(&phase) { 0.1 } else { 0.0 };
         let (clean, seen) = noisy(|t| 0.4 * (TAU * 1.3 * t).sin() + kick((1.3 * t).fract()), 6);
-        let found = periodic(&seen, 1.3, 2048.0).expect("periodic");
+        let found = periodic(&seen, 1.3, 2048.0, |_| 1.0).expect("periodic");
         let (alike, cycles) = found.alike().expect("the same in each");
         assert!((cycles - 9000.0 * 1.3 / 2048.0).abs() < 0.01, "{cycles}");
         // Less noise by the number of cycles, but for the mean and the harmonics, which are not of it.
@@ -251,16 +257,16 @@ mod tests {
         assert!(apart(&alike) < 0.6 * apart(&found.rest), "{} {}", apart(&alike), apart(&found.rest));
         let once = |t: f64| if t.rem_euclid(0.613) < 0.015 { 0.1 } else { 0.0 };
         let (_, seen) = noisy(|t| 0.4 * (TAU * 1.3 * t).sin() + once(t), 7);
-        assert!(periodic(&seen, 1.3, 2048.0).expect("periodic").alike().is_none());
+        assert!(periodic(&seen, 1.3, 2048.0, |_| 1.0).expect("periodic").alike().is_none());
     }
 
     #[test]
     fn a_motion_that_swells_or_jumps_is_taken_as_it_is() {
         let (_, swells) = noisy(|t| (0.4 + 0.01 * t) * (TAU * 1.3 * t).sin(), 2);
-        assert!(!periodic(&swells, 1.3, 2048.0).expect("of that frequency").white);
+        assert!(!periodic(&swells, 1.3, 2048.0, |_| 1.0).expect("of that frequency").white);
         let (_, jumps) = noisy(|t| 0.4 * (TAU * 1.3 * t + if t > 2.0 { 0.05 } else { 0.0 }).sin(), 3);
-        assert!(!periodic(&jumps, 1.3, 2048.0).expect("of that frequency").white);
+        assert!(!periodic(&jumps, 1.3, 2048.0, |_| 1.0).expect("of that frequency").white);
         let (_, still) = noisy(|_| 0.0, 4);
-        assert!(periodic(&still[..1500], 1.3, 2048.0).is_none());
+        assert!(periodic(&still[..1500], 1.3, 2048.0, |_| 1.0).is_none());
     }
 }

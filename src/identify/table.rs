@@ -24,6 +24,11 @@ const SHORTEST: f64 = 10.0;
 /// Deviation of gain, lead (s) and zero of the accelerometer (m/s2) beforehand.
 const EXPECTED: Vector3<f64> = Vector3::new(0.05, 5e-3, 1.0);
 const COLUMNS: usize = 4;
+/// Noise up to so many times the frequency of a step moves the mass, in one where it settles and in a steady one.
+const SETTLING: f64 = 8.0;
+const STEADILY: f64 = 2.0;
+/// Parts of a mean over frequencies.
+const PARTS: u8 = 16;
 
 /// The acceleration of the table, from both of its sensors.
 pub(super) struct Table {
@@ -60,7 +65,7 @@ fn fused(record: &Record, noise_m_s2: f64) -> Option<Table> {
     if !usable || !(LOWEST_RAD_S..=HIGHEST / dt).contains(&crossover_rad_s) {
         return None;
     }
-    let smoothness = (crossover_rad_s * dt).powi(-4);
+    let smoothness = Left { crossover_rad_s }.smoothness(dt);
     // What the displacement says less what the accelerometer does, and what it may be made of: gain, lead and zero of the accelerometer.
     let mut steps: Vec<(usize, [Vec<f64>; 2 * COLUMNS])> = Vec::new();
     let mut ranges: Vec<_> = record.step_ranges().into_iter().map(|(_, range)| range).collect();
@@ -154,46 +159,77 @@ impl Motion {
             return;
         }
         let rate = self.sample_rate_hz;
-        let noise = self.instruments.as_ref().map_or(0.0, |i| i.table_noise_m_s2);
-        let crossover = self.table_crossover_rad_s;
-        // Noise that the displacement does not take away, over the accelerometer's: at a frequency, and up to one, in power.
-        let over = |hz: f64| (TAU * hz / crossover.max(1e-9)).powi(4);
-        let at = |hz: f64| over(hz) / (1.0 + over(hz));
-        let up_to = |hz: f64| (0..16).map(|i| at((i as f64 + 0.5) / 16.0 * hz)).sum::<f64>() / 16.0;
+        let of_table = self.instruments.as_ref().map_or(0.0, |i| i.table_noise_m_s2);
+        let left = Left { crossover_rad_s: self.table_crossover_rad_s };
         for window in &mut self.windows {
             let range = window.warm_from..window.range.end;
-            window.wave_noise_m_s2 = noise * at(window.frequency_hz).sqrt();
-            let cycle = if window.settling { 8.0 } else { 2.0 };
-            let noise = noise * up_to(cycle * window.frequency_hz).sqrt();
-            window.drive_noise_m_s2 = noise;
+            window.wave_noise_m_s2 = of_table * left.at(window.frequency_hz).sqrt();
+            let follows_hz = window.frequency_hz * if window.settling { SETTLING } else { STEADILY };
+            let both = of_table * left.up_to(follows_hz).sqrt();
+            window.drive_noise_m_s2 = both;
             if window.settling {
                 continue;
             }
-            let Some(found) = periodic(&self.drive_m_s2[range.clone()], window.frequency_hz, rate) else {
-                continue;
-            };
+            let share = |hz: f64| left.at(hz);
+            let found = periodic(&self.drive_m_s2[range.clone()], window.frequency_hz, rate, share);
+            let Some(found) = found else { continue };
             let power = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
             if power(&found.rest) > STEADY * STEADY * power(&found.wave) {
                 continue;
             }
             // Impacts kick the table alike in every cycle of a steady step.
-            let (mut rest, noise) = match found.alike() {
-                Some((alike, cycles)) => (alike, noise / cycles.sqrt()),
+            let (mut rest, cycles) = match found.alike() {
+                Some((alike, cycles)) => (alike, cycles),
                 None if !found.white => continue,
-                None => (found.rest, noise),
+                None => (found.rest, 1.0),
             };
-            let noisy =
-                if found.white { found.still.iter().filter(|still| !**still).count() } else { range.len() };
-            window.drive_noise_m_s2 = noise * (noisy as f64 / range.len() as f64).sqrt();
+            let mut noise = both;
+            if found.white {
+                // Noise of the accelerometer within the kicks drives the mass slowly, too, unless what the displacement says of slow
+                // motion stays in what lies between them.
+                let kicked = found.still.iter().filter(|still| !**still).count() as f64 / range.len() as f64;
+                let within = of_table * kicked.sqrt();
+                noise = noise.min(within);
+                let between: Vec<f64> =
+                    rest.iter().zip(&found.still).map(|(r, still)| if *still { *r } else { 0.0 }).collect();
+                rest.iter_mut().zip(&between).for_each(|(rest, between)| *rest -= between);
+                if both < within {
+                    let slow = smoothed(between, left.smoothness(1.0 / rate));
+                    rest.iter_mut().zip(slow).for_each(|(rest, slow)| *rest += slow);
+                }
+            }
+            window.drive_noise_m_s2 = noise / cycles.sqrt();
             // A solver takes long steps where what drives it is smooth; the impulse of a kick is what counts.
             if rate / window.frequency_hz.max(1e-9) > LONG {
                 rest = smooth(&smooth(&rest));
             }
-            let of_wave = found.wave.iter().zip(&rest).zip(&found.still);
-            let drive =
-                of_wave.map(|((wave, rest), still)| if found.white && *still { *wave } else { wave + rest });
+            let drive = found.wave.iter().zip(&rest).map(|(wave, rest)| wave + rest);
             self.drive_m_s2[range].iter_mut().zip(drive).for_each(|(to, drive)| *to = drive);
         }
+    }
+}
+
+/// How much of the power of the accelerometer's noise both sensors of the table leave.
+struct Left {
+    crossover_rad_s: f64,
+}
+
+impl Left {
+    /// At a frequency; all of it where the accelerometer is alone.
+    fn at(&self, hz: f64) -> f64 {
+        let over = (TAU * hz / self.crossover_rad_s.max(1e-9)).powi(4);
+        over / (1.0 + over)
+    }
+
+    /// The mean up to one.
+    fn up_to(&self, hz: f64) -> f64 {
+        let parts = (0..PARTS).map(|i| self.at((f64::from(i) + 0.5) / f64::from(PARTS) * hz));
+        parts.sum::<f64>() / f64::from(PARTS)
+    }
+
+    /// Weight of second differences that has the displacement tell what is slow.
+    fn smoothness(&self, dt_s: f64) -> f64 {
+        (self.crossover_rad_s * dt_s).powi(-4)
     }
 }
 
