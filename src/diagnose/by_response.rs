@@ -2,11 +2,12 @@
 //! contains a simpler effect is tried without it. The search calls it wherever a base record drives a simulation.
 
 use super::candidates;
-use super::search::{Searcher, Stage, best_first};
+use super::search::{Search, Searcher, Stage, best_first};
 use super::trial::{self, Response, Trial};
 use super::verdict;
 use crate::identify::least_squares::Settings;
 use crate::identify::numbers::Numbers;
+use crate::identify::problem::Part;
 use crate::identify::refit::Refit;
 use crate::identify::response::{Laid, Measured, Score, Tangent};
 use crate::model::effects::Effect;
@@ -33,7 +34,7 @@ const ANOTHER: f64 = 0.3;
 /// one's.
 pub(super) const WORTH: f64 = 4.0;
 const SHARE: f64 = 0.05;
-/// Nats by which the base model has to do better when it is fitted again.
+/// Nats by which a model has to do better when it is fitted again.
 const BETTER: f64 = 2.0;
 /// Nats that a simpler effect beside the one that contains it has to bring.
 const MERGED: f64 = 20.0;
@@ -55,17 +56,43 @@ const FAINT: f64 = 0.3;
 const FAINTER: usize = 3;
 
 impl Searcher<'_> {
-    /// The base model fitted again from where the best finalist has put its numbers, when that does better: what it falls by is
-    /// no effect's.
-    pub(super) fn better_base(&self, stage: &Stage, base: &Trial) -> Option<Trial> {
+    /// A model fitted again from where the best finalist beside it has put its numbers, when that does better: what it falls by is
+    /// no added effect's.
+    pub(super) fn better_placed(&self, stage: &Stage, from: &Trial) -> Option<Trial> {
         let (measured, best) = (self.measured.as_ref()?, stage.finalists.first()?);
+        if best.names.len() != from.names.len() + 1 || !best.names.starts_with(&from.names) {
+            return None;
+        }
         let mut spec = best.refit.spec.clone();
         spec.effects.pop();
-        let start = Trial { refit: Refit { spec, ..base.refit.clone() }, ..base.clone() };
+        let start = Trial { refit: Refit { spec, ..from.refit.clone() }, ..from.clone() };
         let settings = Settings { iterations: 20, ..Settings::default() };
         let again = trial::respond(measured, &start, None, settings)?;
         let cost = |trial: &Trial| trial.response.as_ref().map_or(f64::INFINITY, |r| r.training.total());
-        (cost(base) - cost(&again) > 2.0 * BETTER).then_some(again)
+        (cost(from) - cost(&again) > 2.0 * BETTER).then_some(again)
+    }
+
+    /// Where a better model leaves another slow noise of the displacement sensor, everything found so far is fitted and judged with that:
+    /// what the model before lacked had posed as noise. What the stage goes on from, so fitted.
+    pub(super) fn heard_anew(&self, search: &mut Search, stage: &mut Stage, from: &Trial) -> Option<Trial> {
+        let (measured, best) = (self.measured.as_ref()?, stage.finalists.first()?);
+        let response = best.response.as_ref().filter(|_| verdict::apart(best, from) > 0.0)?;
+        let laid = [(Part::Training, &response.training), (Part::HeldOut, &response.held_out)];
+        if !measured.learn_slow_noise(&best.refit.spec, &best.refit.numbers, laid) {
+            return None;
+        }
+        let settings = Settings { iterations: 6, ..Settings::default() };
+        let again = |trial: &Trial| {
+            let laid = trial.response.as_ref().map(|response| &response.training);
+            trial::respond(measured, trial, laid, settings).unwrap_or_else(|| trial.clone())
+        };
+        let all = |trials: &mut Vec<Trial>| *trials = parallel::map(trials, parallel::cores(), again);
+        all(&mut stage.finalists);
+        search.stages.iter_mut().for_each(|stage| all(&mut stage.finalists));
+        search.base = again(&search.base);
+        let from = search.best().clone();
+        best_first(&mut stage.finalists, &from);
+        Some(from)
     }
 
     /// A fitted model in which numbers of its own went far from what they were given to make up for what is missing, fitted again with

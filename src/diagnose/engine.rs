@@ -12,6 +12,7 @@ use crate::identify::kinematics::Tolerances;
 use crate::identify::motion::{Motion, MotionError};
 use crate::identify::problem::{OutputError, Part, Problem};
 use crate::identify::refit::Refit;
+use crate::identify::response::Measured;
 use crate::identify::together::{Setting, TogetherError};
 use crate::model::{ModelError, ModelSpec, effects};
 use crate::record::{Kind, Record, quality};
@@ -410,6 +411,11 @@ impl Composer<'_> {
                 1e6 * found.laser_noise_m
             ));
         }
+        let slow = self.searcher.measured.as_ref().map_or(Vec::new(), Measured::slow_noise_hz);
+        notes.extend(slow.iter().enumerate().filter(|(_, corner)| **corner > 0.0).map(|(i, corner)| {
+            let of = if slow.len() > 1 { format!(" of record {}", i + 1) } else { String::new() };
+            format!("the laser{of} has slow noise: as much as its white one at {corner:.2} Hz, more below (counted as noise)")
+        }));
         notes
     }
 }

@@ -167,12 +167,15 @@ impl<'a> Searcher<'a> {
     pub fn base(&self, nominal: &ModelSpec) -> Option<Trial> {
         let refit = trial::base_by_force(&self.fitting, nominal, self.fitted.as_ref())?;
         let base = self.finish(&trial::judge_by_force(&self.fitting, &[], refit)?)?;
-        // With its jumps known, once more.
+        // With its jumps and the slow noise known, once more.
         let again = self.measured.as_ref().zip(base.response.as_ref()).and_then(|(measured, response)| {
             let laid = [(Part::Training, &response.training), (Part::HeldOut, &response.held_out)];
             let settings = Settings { iterations: 6, ..Settings::default() };
-            let told = measured.learn_jumps(&base.refit.spec, laid);
-            if told { trial::respond(measured, &base, None, settings) } else { None }
+            let told = [
+                measured.learn_slow_noise(&base.refit.spec, &base.refit.numbers, laid),
+                measured.learn_jumps(&base.refit.spec, laid),
+            ];
+            if told.contains(&true) { trial::respond(measured, &base, None, settings) } else { None }
         });
         Some(again.unwrap_or(base))
     }
@@ -392,9 +395,15 @@ impl<'a> Searcher<'a> {
                 break;
             }
             let mut stage = self.stage(&from);
-            if let (0, Some(base)) = (depth, self.better_base(&stage, &from)) {
-                stage = self.stage_again(&base, stage.by_force);
-                (search.base, from) = (base.clone(), base);
+            // Of a second stage only where it brings anything: what it goes on from may have stopped short.
+            let asked = depth == 0 || stage.finalists.iter().any(|t| verdict::brings(t, &from, thresholds));
+            if let Some(better) = if asked { self.better_placed(&stage, &from) } else { None } {
+                stage = self.stage_again(&better, stage.by_force);
+                search.replace(&better);
+                from = better;
+            }
+            if let Some(heard) = self.heard_anew(&mut search, &mut stage, &from) {
+                from = heard;
             }
             // Where the best leaves much.
             if stage.finalists.first().is_none_or(Trial::leaves_much)
@@ -482,6 +491,15 @@ pub(super) fn best_first(trials: &mut Vec<Trial>, from: &Trial) {
 }
 
 impl Search {
+    /// Takes a better fit of the same effects in place of the one there is.
+    fn replace(&mut self, better: &Trial) {
+        if better.names.is_empty() {
+            self.base = better.clone();
+        }
+        let finalists = self.stages.iter_mut().flat_map(|stage| &mut stage.finalists);
+        finalists.filter(|trial| trial.names == better.names).for_each(|trial| *trial = better.clone());
+    }
+
     /// The best trial of all stages, the base when there is none.
     pub fn best(&self) -> &Trial {
         self.stages.iter().flat_map(|stage| &stage.finalists).fold(&self.base, verdict::better)

@@ -31,7 +31,9 @@ impl Measured<'_> {
         let (sa, sd) = (1.0 / motion.restoring_noise_m_s2, 1.0 / motion.laser_noise_m);
         let common = self.common(job.values, window);
         let column = |a: &dyn Fn(usize) -> f64, d: &dyn Fn(usize) -> f64| -> Vec<f64> {
-            (0..n).map(|i| sa * a(i)).chain((0..n).map(|i| sd * d(i))).collect()
+            let mut column: Vec<f64> = (0..n).map(|i| sa * a(i)).chain((0..n).map(|i| sd * d(i))).collect();
+            self.whiten(window.source, &mut column[n..]);
+            column
         };
         let counted = self.counts();
         let counts = |i: usize| counted[window.range.start + i];
@@ -82,7 +84,9 @@ impl Measured<'_> {
             // What is common to another record does nothing here.
             let nothing = |records: usize| vec![vec![0.0; 2 * n]; COMMON * records];
             along.extend(nothing(window.source));
-            along.push(column(&|i| start[i] / sa, &|i| 1.0 + start[n + i] / sd));
+            let mut zero = column(&|_| 0.0, &|_| 1.0);
+            zero.iter_mut().zip(start).for_each(|(zero, start)| *zero += start);
+            along.push(zero);
             let drive = |i: usize| if counts(i) { -motion.drive_m_s2[window.range.start + i] } else { 0.0 };
             along.push(column(&drive, &|_| 0.0));
             let of_a = |i: usize| if counts(i) { -step.simulated[i].0 } else { 0.0 };

@@ -11,6 +11,7 @@ mod jumps;
 mod left;
 mod memory;
 mod profile;
+mod slow;
 mod tangent;
 #[cfg(test)]
 mod tests;
@@ -19,6 +20,7 @@ pub use left::Left;
 pub use tangent::{Score, Tangent};
 
 use jumps::{Sampled, beside_jumps};
+use slow::Slow;
 
 use super::least_squares::{Fit, Free, dot};
 use super::motion::{Motion, Window};
@@ -29,7 +31,7 @@ use super::together::Source;
 use crate::model::{self, EffectSpec, ModelSpec, Specimen, effects};
 use crate::parallel;
 use nalgebra::{DMatrix, DVector};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, OnceLock, RwLock};
 
 /// A step in which the mean square of the residuals is so many times that of the noise begins to count by its logarithm: one in
 /// which a stiff contact leads elsewhere does not rule the fit.
@@ -79,6 +81,8 @@ pub struct Measured<'a> {
     counts: Vec<bool>,
     /// The same when a fitted model has said where jumps are.
     told: Arc<OnceLock<Vec<bool>>>,
+    /// Slow noise of each record's displacement sensor, when a fitted model has told it.
+    slow: Arc<RwLock<Arc<Vec<Slow>>>>,
     /// What a springpot remembers at the beginning of each window.
     remembered: Arc<OnceLock<Vec<Vec<f64>>>>,
 }
@@ -183,6 +187,7 @@ impl<'a> Measured<'a> {
                 .map_or(motion.restoring_noise_m_s2, |i| i.table_noise_m_s2),
             counts: beside_jumps(&motion.restoring_m_s2, motion.restoring_noise_m_s2),
             told: Arc::default(),
+            slow: Arc::default(),
             remembered: Arc::default(),
         })
     }
@@ -373,8 +378,8 @@ impl<'a> Measured<'a> {
         out
     }
 
-    /// The misfit, a large one of the acceleration as the root of its share of the cost.
-    fn residuals(
+    /// The misfit, slow noise of the displacement sensor made white.
+    fn white_misfit(
         &self,
         window: &Window,
         simulated: &Simulated,
@@ -382,6 +387,19 @@ impl<'a> Measured<'a> {
         nuisances: &[f64],
     ) -> Vec<f64> {
         let mut out = self.misfit(window, simulated, common, nuisances);
+        self.whiten(window.source, &mut out[simulated.len()..]);
+        out
+    }
+
+    /// The same, a large one of the acceleration as the root of its share of the cost.
+    fn residuals(
+        &self,
+        window: &Window,
+        simulated: &Simulated,
+        common: &[f64],
+        nuisances: &[f64],
+    ) -> Vec<f64> {
+        let mut out = self.white_misfit(window, simulated, common, nuisances);
         for r in out[..simulated.len()].iter_mut().filter(|r| r.abs() > HUBER) {
             *r = (HUBER * (2.0 * r.abs() - HUBER)).sqrt().copysign(*r);
         }

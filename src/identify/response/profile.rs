@@ -17,6 +17,10 @@ const NEAR: (f64, f64) = (0.75, 1.35);
 const ATTEMPTS: usize = 4;
 /// A rise of the log-likelihood, twice, that is a better place.
 const RISEN: f64 = 2.0;
+/// Share of its prior's deviation that the record leaves a number of the model's own which it half knows: one that stands against others,
+/// such as a slope that begins where a bumper does. What is known better has no room for a valley to bend, what is not known at all has
+/// its prior.
+const HALF_KNOWN: (f64, f64) = (0.15, 0.9);
 /// How everything else is fitted.
 const BESIDE: Settings = Settings { iterations: 8, tolerance: 1e-6, difference: 1e-3 };
 
@@ -30,12 +34,16 @@ pub struct Profile {
 }
 
 impl Measured<'_> {
-    /// Profiles the likelihood along the numbers of the effects (Venzon and Moolgavkar 1988), `colour` residuals counting as one
-    /// independent one. Every other number may at least be where it was fitted beside their limits.
+    /// Profiles the likelihood along the numbers of the effects, and those of the model's own that are half known (Venzon and Moolgavkar
+    /// 1988), `colour` residuals counting as one independent one. Every other number may at least be where it was fitted beside their
+    /// limits.
     pub fn profile(&self, spec: &ModelSpec, numbers: &Numbers, laid: &Laid, colour: f64) -> Profile {
         let covariance = self.covariance(numbers, laid, colour);
         let sigma = |j: usize| covariance[(j, j)].max(0.0).sqrt();
-        let own = (0..numbers.numbers.len()).filter(|j| numbers.numbers[*j].key.starts_with("effect["));
+        let half_known =
+            |j: usize| (HALF_KNOWN.0..HALF_KNOWN.1).contains(&(sigma(j) / numbers.free[j].prior.1));
+        let own = (0..numbers.numbers.len())
+            .filter(|j| numbers.numbers[*j].key.starts_with("effect[") || half_known(*j));
         let sides: Vec<(usize, f64)> = own.flat_map(|j| [(j, -1.0), (j, 1.0)]).collect();
         let from = Floor { spec, numbers, laid, colour, covariance: &covariance };
         let reached = parallel::map(&sides, parallel::cores(), |(j, side)| self.side(&from, *j, *side));

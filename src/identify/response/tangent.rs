@@ -67,7 +67,7 @@ impl<'a> Measured<'a> {
         let inverse = scaled.cholesky()?.inverse();
         let inverse = DMatrix::from_fn(free.len(), free.len(), |i, j| inverse[(i, j)] * scale[i] * scale[j]);
         let misfit = |(step, own): (&Step<'_>, &Vec<f64>)| {
-            self.misfit(step.window, &step.simulated, self.common(&laid.values, step.window), own)
+            self.white_misfit(step.window, &step.simulated, self.common(&laid.values, step.window), own)
         };
         let own: Vec<_> = steps.iter().zip(&laid.nuisances).map(misfit).collect();
         let mut general = own.clone();
@@ -76,7 +76,7 @@ impl<'a> Measured<'a> {
             for ((step, own), general) in steps.iter().zip(&laid.nuisances).zip(&mut general) {
                 let common = self.common(&laid.values, step.window);
                 let simulated = self.simulate(&mut specimens, step.window, common[0], own);
-                *general = self.misfit(step.window, &simulated, common, own);
+                *general = self.white_misfit(step.window, &simulated, common, own);
             }
         }
         let misfits = [own, general];
@@ -153,7 +153,7 @@ impl Tangent<'_, '_> {
         let window = self.steps[k].window;
         let common = self.measured.common(values, window);
         let simulated = self.measured.simulate(specimens, window, common[0], nuisances);
-        let mut changed = self.measured.misfit(window, &simulated, common, nuisances);
+        let mut changed = self.measured.white_misfit(window, &simulated, common, nuisances);
         changed.iter_mut().zip(before).for_each(|(c, r)| *c -= r);
         changed
     }

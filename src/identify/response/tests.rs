@@ -5,6 +5,7 @@ use crate::identify::kinematics::Tolerances;
 use crate::identify::least_squares::Settings;
 use crate::model::effects;
 use crate::model::testing::{b1_g2, effect};
+use rand::{SeedableRng, prelude::Distribution};
 use std::f64::consts::TAU;
 
 /// The paper's specimen with numbers that are off by what a model file allows.
@@ -69,6 +70,32 @@ fn numbers_that_are_off_are_found_within_their_intervals_and_noise_is_left() {
     assert!(refit.sigmas[0] < 0.01 * numbers.free[0].prior.1, "{:?}", refit.sigmas);
     let held_out = measured.judge(&spec, &numbers, &laid).expect("finite");
     assert!(held_out.cost < 1.1 * held_out.count as f64, "{} of {}", held_out.cost, held_out.count);
+}
+
+#[test]
+fn slow_noise_of_the_displacement_sensor_is_told_from_what_a_model_leaves() {
+    let heard = |slow_m: f64| {
+        let mut record = seen(&off(), 14);
+        let mut random = rand_pcg::Pcg64::seed_from_u64(15);
+        // Of first order, with a time constant of 5 s.
+        let (decay, mut slow) = ((-1.0 / (5.0 * record.sample_rate_hz)).exp(), 0.0);
+        for d in &mut record.relative_displacement_m {
+            let step: f64 = rand_distr::StandardNormal.sample(&mut random);
+            slow = decay * slow + slow_m * (1.0 - decay * decay).sqrt() * step;
+            *d += slow;
+        }
+        let motion = Motion::of(&record, 500.0, Tolerances::default()).expect("a motion");
+        let measured = Measured::new(&motion).expect("a base record");
+        let (spec, numbers, laid) = fitted(&measured);
+        let held_out = measured.judge(&spec, &numbers, &laid).expect("finite");
+        measured.learn_slow_noise(&spec, &numbers, [(Part::Training, &laid), (Part::HeldOut, &held_out)]);
+        measured.slow_noise_hz().first().copied().unwrap_or(0.0)
+    };
+    // Its density is 4 s^2 T / (1 + (w T)^2), that of the white noise 2 s^2 / rate.
+    let corner_hz = heard(6e-6);
+    assert!((0.5..1.8).contains(&corner_hz), "{corner_hz} where 0.91 is");
+    let none_hz = heard(0.0);
+    assert!(none_hz < 0.4, "{none_hz}");
 }
 
 #[test]

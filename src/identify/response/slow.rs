@@ -1,0 +1,295 @@
+//! Slow noise of the displacement sensor - a drift of temperature, of what holds it -, told from what a fitted model leaves and taken
+//! account of: at the frequencies of a slow step it may be several times the white noise, and sums of squares that took it for white
+//! had numbers of the isolator known half again as well as they are. Called once by the search, and for every residual.
+
+use super::columns::Job;
+use super::descent::Fitted;
+use super::{Laid, Measured, ROBUST, Step};
+use crate::identify::least_squares::dot;
+use crate::identify::numbers::Numbers;
+use crate::identify::problem::Part;
+use crate::model::ModelSpec;
+use crate::parallel;
+use nalgebra::{DMatrix, DVector};
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+/// Frequencies at which slow noise may equal the white one, Hz: from one by a factor, so many.
+const LOWEST_HZ: f64 = 0.04;
+const NEXT: f64 = 1.25;
+const CORNERS: i32 = 28;
+/// Means of so many stretches of a cycle tell slow noise.
+const A_CYCLE: f64 = 32.0;
+/// Corners that are no farther apart are the same.
+const CHANCE: f64 = 1.5;
+/// Harmonics of a step that are no noise: a model may lack them.
+const HARMONICS: i32 = 6;
+/// Steps tell together; one that wants something else by so many nats holds a motion that no harmonic has.
+const ASTRAY: f64 = 6.0;
+const ROUNDS: usize = 8;
+/// Steps of a record that are looked at, at most.
+const STEPS: usize = 24;
+/// Share of its last variance at which a walk has settled.
+const SETTLED: f64 = 0.9999;
+/// Columns that say the same are told apart by no more than this.
+const ALIKE: f64 = 1e-9;
+
+/// Makes a channel with white and slow noise white: the innovations of a random walk in white noise of unit variance, which starts
+/// from nothing (Kalman 1960; Harvey, Forecasting, structural time series models and the Kalman filter, 1989, ch. 4).
+#[derive(Clone, Debug, Default)]
+pub(super) struct Whitening {
+    /// Gain and inverse deviation of the innovation at each sample, until they stay.
+    gains: Vec<[f64; 2]>,
+}
+
+impl Whitening {
+    /// For a random walk that grows by so much variance a sample, over that of the white noise.
+    fn new(growth: f64) -> Self {
+        let (mut gains, mut variance) = (Vec::new(), 0.0);
+        let settled = 0.5 * growth + (0.25 * growth * growth + growth).sqrt();
+        while variance < SETTLED * settled {
+            variance += growth;
+            let gain = variance / (variance + 1.0);
+            gains.push([gain, (1.0 - gain).sqrt()]);
+            if variance < SETTLED * settled {
+                variance *= 1.0 - gain;
+            }
+        }
+        Self { gains }
+    }
+
+    /// Takes the place of a channel in units of the white noise.
+    pub(super) fn whiten(&self, channel: &mut [f64]) {
+        let Some(last) = self.gains.last() else { return };
+        let mut slow = 0.0;
+        for (i, x) in channel.iter_mut().enumerate() {
+            let [gain, over] = self.gains.get(i).unwrap_or(last);
+            let innovation = *x - slow;
+            slow += gain * innovation;
+            *x = over * innovation;
+        }
+    }
+
+    /// What was made white, as it was.
+    fn restore(&self, channel: &mut [f64]) {
+        let Some(last) = self.gains.last() else { return };
+        let mut slow = 0.0;
+        for (i, x) in channel.iter_mut().enumerate() {
+            let [gain, over] = self.gains.get(i).unwrap_or(last);
+            let innovation = *x / over;
+            *x = innovation + slow;
+            slow += gain * innovation;
+        }
+    }
+
+    /// Sum of the logarithms of the innovations' variances over so many samples.
+    fn log_determinant(&self, samples: usize) -> f64 {
+        let Some(last) = self.gains.last() else { return 0.0 };
+        (0..samples).map(|i| -2.0 * self.gains.get(i).unwrap_or(last)[1].ln()).sum()
+    }
+}
+
+/// Slow noise of the displacement sensor of one record.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Slow {
+    corner_hz: f64,
+    whitening: Whitening,
+}
+
+impl Measured<'_> {
+    /// Makes what a step has of the displacement sensor white.
+    pub(super) fn whiten(&self, source: usize, displacement: &mut [f64]) {
+        if let Some(slow) = self.slow().get(source) {
+            slow.whitening.whiten(displacement);
+        }
+    }
+
+    /// Frequency at which the slow noise of each record's displacement sensor equals its white noise, Hz: 0 without any; nothing
+    /// before it was told.
+    pub fn slow_noise_hz(&self) -> Vec<f64> {
+        self.slow().iter().map(|slow| slow.corner_hz).collect()
+    }
+
+    fn slow(&self) -> Arc<Vec<Slow>> {
+        self.slow.read().map(|slow| slow.clone()).unwrap_or_default()
+    }
+
+    /// Tells slow noise of each record's displacement sensor from what a fitted model leaves beside harmonics of each step and what
+    /// belongs to it: the corner where it equals the white noise, by the restricted likelihood (Patterson and Thompson 1971). What a
+    /// model lacks may pose as slow noise, so a better one tells it anew. Says whether anything changed by more than chance.
+    pub fn learn_slow_noise(&self, spec: &ModelSpec, numbers: &Numbers, laid: [(Part, &Laid); 2]) -> bool {
+        let rate = self.motion.sample_rate_hz;
+        let corners: Vec<f64> =
+            [0.0].into_iter().chain((0..CORNERS).map(|i| LOWEST_HZ * NEXT.powi(i))).collect();
+        let mut told: Vec<Vec<Vec<f64>>> = vec![Vec::new(); self.records()];
+        for (part, laid) in laid {
+            let Some((_, steps)) = self.lay(spec, part, &laid.values, &laid.nuisances) else { return false };
+            let free = self.free(numbers, 0.0);
+            let fitted = Fitted { spec: spec.clone(), numbers, free: &free, moving: false, fine: true };
+            let every = steps.len().div_ceil(STEPS).max(1);
+            let each: Vec<usize> = (0..steps.len()).step_by(every).collect();
+            let profiles = parallel::map_with(
+                &each,
+                1,
+                || self.job(&fitted, &laid.values),
+                |job, &k| {
+                    let of_step = self.profile_of_slow_noise(job, &steps[k], &laid.nuisances[k], &corners);
+                    Some(of_step.map(|profile| (steps[k].window.source, profile)))
+                },
+            );
+            for (source, profile) in profiles.into_iter().flatten().flatten() {
+                told[source].push(profile);
+            }
+        }
+        let slow: Vec<Slow> = told
+            .iter()
+            .map(|profiles| {
+                let corner_hz = corners[agreed(profiles)];
+                Slow { corner_hz, whitening: Whitening::new((TAU * corner_hz / rate).powi(2)) }
+            })
+            .collect();
+        let before = self.slow();
+        let another = |(i, slow): (usize, &Slow)| {
+            let before = before.get(i).map_or(0.0, |before| before.corner_hz);
+            (slow.corner_hz.max(LOWEST_HZ) / before.max(LOWEST_HZ)).ln().abs() > CHANCE * NEXT.ln()
+        };
+        let changed = slow.iter().enumerate().any(another);
+        if changed && let Ok(mut now) = self.slow.write() {
+            *now = Arc::new(slow);
+        }
+        changed
+    }
+
+    /// Restricted log-likelihood of each corner in a steady step that the model follows.
+    fn profile_of_slow_noise(
+        &self,
+        job: &mut Job<'_>,
+        step: &Step<'_>,
+        own: &[f64],
+        corners: &[f64],
+    ) -> Option<Vec<f64>> {
+        let (window, n) = (step.window, step.simulated.len());
+        let far = dot(&step.residuals, &step.residuals) > ROBUST * self.count(window) as f64;
+        if far || window.settling {
+            return None;
+        }
+        let rate = self.motion.sample_rate_hz;
+        let block = ((rate / window.frequency_hz.max(1e-9) / A_CYCLE) as usize).max(1);
+        let means = |channel: &[f64]| -> Vec<f64> {
+            channel.chunks_exact(block).map(|c| c.iter().sum::<f64>() / (block as f64).sqrt()).collect()
+        };
+        // As it was before it was made white.
+        let seen = |white: &[f64]| {
+            let mut channel = white[n..].to_vec();
+            if let Some(slow) = self.slow().get(window.source) {
+                slow.whitening.restore(&mut channel);
+            }
+            means(&channel)
+        };
+        let residual = seen(&step.residuals);
+        let (_, beside) = self.columns(job, step, own, None);
+        let mut columns: Vec<Vec<f64>> = beside.iter().map(|column| seen(column)).collect();
+        for harmonic in 1..=HARMONICS {
+            let turn = TAU * f64::from(harmonic) * window.frequency_hz * block as f64 / rate;
+            columns.push((0..residual.len()).map(|i| (turn * i as f64).cos()).collect());
+            columns.push((0..residual.len()).map(|i| (turn * i as f64).sin()).collect());
+        }
+        columns.retain(|column| dot(column, column) > 0.0);
+        if residual.len() < 2 * columns.len() {
+            return None;
+        }
+        for column in &mut columns {
+            let size = dot(column, column).sqrt();
+            column.iter_mut().for_each(|x| *x /= size);
+        }
+        let likelihood = |corner: &f64| {
+            // Means of stretches walk as far as the samples do.
+            let whitening = Whitening::new((TAU * corner / rate * block as f64).powi(2));
+            let white = |channel: &Vec<f64>| {
+                let mut channel = channel.clone();
+                whitening.whiten(&mut channel);
+                channel
+            };
+            let (of, along) = (white(&residual), columns.iter().map(white).collect::<Vec<_>>());
+            let gram = DMatrix::from_fn(along.len(), along.len(), |i, j| {
+                dot(&along[i], &along[j]) * if i == j { 1.0 + ALIKE } else { 1.0 }
+            });
+            let slope = DVector::from_fn(along.len(), |i, _| dot(&along[i], &of));
+            let root = gram.cholesky()?;
+            let square = dot(&of, &of) - slope.dot(&root.solve(&slope));
+            let determinant = 2.0 * root.l_dirty().diagonal().iter().map(|x| x.ln()).sum::<f64>();
+            Some(-0.5 * (whitening.log_determinant(of.len()) + determinant + square))
+        };
+        corners.iter().map(likelihood).collect()
+    }
+}
+
+/// The number of the corner that most of the steps agree on: the first, which is none, without any.
+fn agreed(profiles: &[Vec<f64>]) -> usize {
+    let best =
+        |profile: &[f64]| (0..profile.len()).max_by(|a, b| profile[*a].total_cmp(&profile[*b])).unwrap_or(0);
+    let mut each: Vec<usize> = profiles.iter().map(|profile| best(profile)).collect();
+    each.sort_unstable();
+    let mut found = each.get(each.len() / 2).copied().unwrap_or(0);
+    for _ in 0..ROUNDS {
+        let agrees = |profile: &&Vec<f64>| profile[best(profile)] - profile[found] < ASTRAY;
+        let together = profiles.iter().filter(agrees).fold(Vec::new(), |sum: Vec<f64>, profile| {
+            profile.iter().enumerate().map(|(i, x)| x + sum.get(i).unwrap_or(&0.0)).collect()
+        });
+        let next = best(&together);
+        if next == found {
+            break;
+        }
+        found = next;
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{SeedableRng, prelude::Distribution};
+
+    fn walk(growth: f64, samples: usize, seed: u64) -> Vec<f64> {
+        let mut random = rand_pcg::Pcg64::seed_from_u64(seed);
+        let mut normal = || -> f64 { rand_distr::StandardNormal.sample(&mut random) };
+        let mut slow = 0.0;
+        let mut seen = || {
+            slow += growth.sqrt() * normal();
+            slow + normal()
+        };
+        (0..samples).map(|_| seen()).collect()
+    }
+
+    #[test]
+    fn a_walk_in_noise_is_made_white_and_is_had_back() {
+        let seen = walk(1e-3, 40_000, 1);
+        let (mut white, whitening) = (seen.clone(), Whitening::new(1e-3));
+        whitening.whiten(&mut white);
+        let n = white.len() as f64;
+        let covariance = |lag: usize| dot(&white[lag..], &white[..white.len() - lag]) / n;
+        assert!((covariance(0) - 1.0).abs() < 5.0 * (2.0 / n).sqrt(), "{}", covariance(0));
+        for lag in [1, 3, 10, 100, 1000] {
+            assert!(covariance(lag).abs() < 5.0 / n.sqrt(), "{lag}: {}", covariance(lag));
+        }
+        whitening.restore(&mut white);
+        assert!(white.iter().zip(&seen).all(|(a, b)| (a - b).abs() < 1e-9));
+    }
+
+    #[test]
+    fn the_determinant_is_that_of_the_covariance() {
+        let (growth, n) = (0.3, 6);
+        // Covariance of a walk in white noise.
+        let covariance =
+            DMatrix::from_fn(n, n, |i, j| growth * (i.min(j) + 1) as f64 + f64::from(u8::from(i == j)));
+        let told = Whitening::new(growth).log_determinant(n);
+        assert!((told - covariance.determinant().ln()).abs() < 1e-4, "{told}");
+    }
+
+    #[test]
+    fn steps_agree_on_what_most_of_them_have() {
+        let of = |best: f64, nats: f64| (0..20).map(|i| -nats * (f64::from(i) - best).powi(2)).collect();
+        assert_eq!(agreed(&[of(5.0, 0.1), of(7.0, 0.1), of(6.0, 0.1), of(19.0, 3.0)]), 6);
+        assert_eq!(agreed(&[]), 0);
+    }
+}
