@@ -1,6 +1,6 @@
 //! Slow noise of the displacement sensor - a drift of temperature, of what holds it -, told from what a fitted model leaves and taken
 //! account of: at the frequencies of a slow step it may be several times the white noise, and sums of squares that took it for white
-//! had numbers of the isolator known half again as well as they are. Called once by the search, and for every residual.
+//! had numbers of the isolator known half again as well as they are. The search has it told; every residual and every slope is made white.
 
 use super::columns::Job;
 use super::descent::Fitted;
@@ -14,8 +14,8 @@ use nalgebra::{DMatrix, DVector};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-/// Frequencies at which slow noise may equal the white one, Hz: from one by a factor, so many.
-const LOWEST_HZ: f64 = 0.04;
+/// Frequencies at which slow noise may equal the white one: from one, over the usual frequency of the steps, by a factor, so many.
+const LOWEST: f64 = 0.02;
 const NEXT: f64 = 1.25;
 const CORNERS: i32 = 28;
 /// Means of so many stretches of a cycle tell slow noise.
@@ -119,8 +119,9 @@ impl Measured<'_> {
     /// model lacks may pose as slow noise, so a better one tells it anew. Says whether anything changed by more than chance.
     pub fn learn_slow_noise(&self, spec: &ModelSpec, numbers: &Numbers, laid: [(Part, &Laid); 2]) -> bool {
         let rate = self.motion.sample_rate_hz;
+        let lowest_hz = LOWEST * self.motion.median_frequency_hz();
         let corners: Vec<f64> =
-            [0.0].into_iter().chain((0..CORNERS).map(|i| LOWEST_HZ * NEXT.powi(i))).collect();
+            [0.0].into_iter().chain((0..CORNERS).map(|i| lowest_hz * NEXT.powi(i))).collect();
         let mut told: Vec<Vec<Vec<f64>>> = vec![Vec::new(); self.records()];
         for (part, laid) in laid {
             let Some((_, steps)) = self.lay(spec, part, &laid.values, &laid.nuisances) else { return false };
@@ -151,7 +152,7 @@ impl Measured<'_> {
         let before = self.slow();
         let another = |(i, slow): (usize, &Slow)| {
             let before = before.get(i).map_or(0.0, |before| before.corner_hz);
-            (slow.corner_hz.max(LOWEST_HZ) / before.max(LOWEST_HZ)).ln().abs() > CHANCE * NEXT.ln()
+            (slow.corner_hz.max(lowest_hz) / before.max(lowest_hz)).ln().abs() > CHANCE * NEXT.ln()
         };
         let changed = slow.iter().enumerate().any(another);
         if changed && let Ok(mut now) = self.slow.write() {
