@@ -413,8 +413,10 @@ impl Composer<'_> {
         }
         let slow = self.searcher.measured.as_ref().map_or(Vec::new(), Measured::slow_noise_hz);
         notes.extend(slow.iter().enumerate().filter(|(_, corner)| **corner > 0.0).map(|(i, corner)| {
-            let of = if slow.len() > 1 { format!(" of record {}", i + 1) } else { String::new() };
-            format!("the laser{of} has slow noise: as much as its white one at {corner:.2} Hz, more below (counted as noise)")
+            let of = if slow.len() > 1 { format!(" in record {}", i + 1) } else { String::new() };
+            format!(
+                "slow noise beside the model{of}: as much as the laser's white one at {corner:.2} Hz, more below; its own drift, or motion that the table's sensors do not show (counted as noise)"
+            )
         }));
         notes
     }
