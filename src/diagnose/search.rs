@@ -402,9 +402,7 @@ impl<'a> Searcher<'a> {
                 search.replace(&better);
                 from = better;
             }
-            if let Some(heard) = self.heard_anew(&mut search, &mut stage, &from) {
-                from = heard;
-            }
+            from = self.heard_anew(&mut search, &mut stage, &from).unwrap_or(from);
             // Where the best leaves much.
             if stage.finalists.first().is_none_or(Trial::leaves_much)
                 && let Some(back) = self.brought_back(&from)

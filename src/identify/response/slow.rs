@@ -180,9 +180,10 @@ impl Measured<'_> {
             channel.chunks_exact(block).map(|c| c.iter().sum::<f64>() / (block as f64).sqrt()).collect()
         };
         // As it was before it was made white.
+        let now = self.slow();
         let seen = |white: &[f64]| {
             let mut channel = white[n..].to_vec();
-            if let Some(slow) = self.slow().get(window.source) {
+            if let Some(slow) = now.get(window.source) {
                 slow.whitening.restore(&mut channel);
             }
             means(&channel)
