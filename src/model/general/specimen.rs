@@ -8,6 +8,8 @@ use super::runge_kutta::Step;
 
 /// Events allowed within one stretch before the step is taken regardless (chatter without end).
 const PATIENCE: usize = 200;
+/// Steps within one stretch, and for each sample of it, beyond which a model is not followed any farther.
+const STEPS: [f64; 2] = [10_000.0, 50.0];
 
 /// The general solver of one model with `N` states.
 pub struct General<const N: usize> {
@@ -119,6 +121,8 @@ impl<const N: usize> General<N> {
         let mut t = 0.0;
         let mut now = self.now(t, drive, motion);
         let mut events = 0;
+        let mut taken = 0.0;
+        let enough = STEPS[0] + STEPS[1] * duration / self.system.sample_period_s;
         while duration - t > 1e-13 * duration {
             let rest = duration - t;
             let mut h = self.preferred_s.min(rest);
@@ -126,8 +130,10 @@ impl<const N: usize> General<N> {
                 h = rest;
             }
             let (step, excess) = self.controlled(t, &mut h, &now, drive, motion);
-            if !step.end.iter().all(|y| y.is_finite()) {
-                // A model that runs away (a loss below zero, say) leaves no state to go on from.
+            taken += 1.0;
+            if !step.end.iter().all(|y| y.is_finite()) || taken > enough {
+                // A model that runs away (a loss below zero, say) leaves no state to go on from; one far too stiff to be followed
+                // would take for ever.
                 self.y = [f64::NAN; N];
                 break;
             }

@@ -40,6 +40,20 @@ fn contact_pushes_only_and_both_sides_are_reached() {
 }
 
 #[test]
+fn what_is_far_too_stiff_to_be_followed_is_left_off() {
+    let input: Vec<f64> = (1..=2048).map(|i| 0.5 * (TAU * f64::from(i) * DT).sin()).collect();
+    let last = |dy_m: f64| {
+        let mut spec = b1_g2();
+        spec.effects.push(effect("bouc-wen-hysteresis", &[("kh_n_m", 1e4), ("dy_m", dy_m)]));
+        let history = simulate_sampled(&spec, DT, &input).expect("runs");
+        *history.relative_displacement_m.last().expect("samples")
+    };
+    assert!(last(1e-5).is_finite());
+    // A time constant of some hundredths of a microsecond.
+    assert!(last(1e-9).is_nan());
+}
+
+#[test]
 fn imposing_the_simulated_motion_returns_the_simulated_force() {
     let w = TAU * 1.0;
     let input: Vec<f64> = (1..=20480).map(|i| 0.5 * (w * f64::from(i) * DT).sin()).collect();
