@@ -41,6 +41,8 @@ const MERGED: f64 = 20.0;
 /// What is behind the best by so many nats after a short fit gets no long one; a candidate a few rounds more, to be refused by name.
 pub(super) const HOPELESS: f64 = 80.0;
 const FEW_ROUNDS: usize = 2;
+/// Rounds of a fit with another slow noise.
+const HEARD_ANEW: usize = 6;
 /// Deviations of its prior that a number of the model is from where it was given when it makes up for something; and the share of
 /// its prior's width that it is then left.
 const ASTRAY: f64 = 5.0;
@@ -81,8 +83,11 @@ impl Searcher<'_> {
         if !measured.learn_slow_noise(&best.refit.spec, &best.refit.numbers, laid) {
             return None;
         }
-        let settings = Settings { iterations: 6, ..Settings::default() };
+        let best = best.clone();
         let again = |trial: &Trial| {
+            // What is hopelessly behind is laid anew as it is.
+            let iterations = if verdict::apart(&best, trial) > HOPELESS { 0 } else { HEARD_ANEW };
+            let settings = Settings { iterations, ..Settings::default() };
             let laid = trial.response.as_ref().map(|response| &response.training);
             trial::respond(measured, trial, laid, settings).unwrap_or_else(|| trial.clone())
         };
@@ -277,7 +282,11 @@ impl Searcher<'_> {
         let least = tried.first().map_or(0.0, |(_, _, laid)| cost(laid));
         let behind = |short: &Laid| 0.5 * HALF as f64 * (cost(short) - least) / response.colour().max(1.0);
         let within = |nats: f64| tried.iter().take_while(|(_, _, short)| behind(short) < nats).count();
-        let (near, hopeful) = (within(NEARBY), within(HOPELESS));
+        let (mut near, hopeful) = (within(NEARBY), within(HOPELESS));
+        // Beside an effect a long record leaves so little that a short fit sorts them out.
+        if measured.is_long() && !from.names.is_empty() {
+            near = near.min(REFINED);
+        }
         tried.truncate(near.max(hopeful.clamp(REFUSED, REFINED)));
         // Each step's start anew: what the model before had there holds the gap where it was.
         let arrived = |(spec, _, short): &(ModelSpec, Numbers, Laid)| {

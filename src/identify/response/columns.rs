@@ -14,6 +14,9 @@ const SMALL: [f64; 2] = [0.01, 1e-5];
 const TO_BOTH_SIDES: [f64; 2] = [0.2, 1e-2];
 /// Difference for a coarse slope along a number there.
 const COARSE: f64 = 1e-3;
+/// Standard deviations that differences are wide at least, coarse and fine ones, and the most that this makes of them, over the scale.
+const WIDE: [f64; 2] = [1.0, 2.0];
+const WIDEST: f64 = 0.2;
 /// A change by so many times what is usual in a step is a jump that went over a sample, if it is one at all.
 const UNUSUAL: f64 = 6.0;
 
@@ -118,12 +121,14 @@ impl Measured<'_> {
                 let within = (free.bounds.0..=free.bounds.1).contains(&at[j]);
                 (within && fitted.numbers.put(&at, &mut spec)).then(|| self.specimens(&spec)).flatten()
             };
-            let (share, most) = match (exact, fitted.fine) {
-                (true, _) => (SMALL[1], 1),
-                (false, false) => (COARSE, 1),
-                (false, true) => (TO_BOTH_SIDES[1], 2),
+            let (share, deviations, most) = match (exact, fitted.fine) {
+                (true, _) => (SMALL[1], 0.0, 1),
+                (false, false) => (COARSE, WIDE[0], 1),
+                (false, true) => (TO_BOTH_SIDES[1], WIDE[1], 2),
             };
-            let h = share * free.scale;
+            // Solvers' errors over what is known already are not to count beside what the record tells.
+            let known = fitted.deviations.get(j).copied().unwrap_or(0.0);
+            let h = (share * free.scale).max((deviations * known).min(WIDEST * free.scale));
             let sides = [h, -h].into_iter().filter_map(|h| Some((specimens(h)?, h))).take(most).collect();
             moved.push(Moved { sides });
         }

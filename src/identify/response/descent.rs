@@ -13,14 +13,20 @@ use crate::parallel;
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
 
-/// A fall of the cost that is not worth another step.
-const SETTLED: f64 = 0.3;
+/// A fall of the cost that is not worth another step: as far from the least, a fit is 0.14 deviations off.
+const SETTLED: f64 = 0.02;
 /// Share of the cost above which the slopes along the nuisances are kept.
 const LITTLE: f64 = 0.98;
 /// Steps that are taken with the slopes of an earlier one.
 const CHORDS: usize = 3;
 /// A fit of so few rounds sorts out: its slopes need not be better than its steps.
 const SORTING: usize = 3;
+/// Damping of a first step, and the one at which coarse slopes lead no farther.
+const UNDAMPED: f64 = 1e-4;
+const STALLED: f64 = 1.0;
+/// How much larger a deviation is by better slopes when these are taken again, and how often at most.
+const GROWN: f64 = 1.2;
+const AGAIN: usize = 3;
 /// Damping of a step that was too long before, and how many times as far it goes on from there while the cost falls.
 const SHORT: f64 = 1e-3;
 const FURTHER: [f64; 5] = [1.0, 2.0, 4.0, 8.0, 16.0];
@@ -45,13 +51,7 @@ impl<'a> Measured<'a> {
         }
         // Where the solver is exact there are no coarse slopes.
         let fine = is_piecewise_linear(start);
-        self.descend(
-            Fitted { spec: start.clone(), numbers, free: &free, moving: true, fine },
-            Part::Training,
-            values,
-            nuisances,
-            settings,
-        )
+        self.descend(Fitted::new(start, numbers, &free, fine), Part::Training, values, nuisances, settings)
     }
 
     /// Lays a fitted model against the held-out steps: only what belongs to each step is estimated.
@@ -59,7 +59,7 @@ impl<'a> Measured<'a> {
         let free = self.free(numbers, 0.0);
         let settings = Settings { iterations: 12, ..Settings::default() };
         let still = self.still(Part::HeldOut);
-        let fitted = Fitted { spec: spec.clone(), numbers, free: &free, moving: false, fine: true };
+        let fitted = Fitted { moving: false, ..Fitted::new(spec, numbers, &free, true) };
         self.descend(fitted, Part::HeldOut, laid.values.clone(), still, settings)
     }
 
@@ -74,8 +74,8 @@ impl<'a> Measured<'a> {
         let free = fitted.free;
         let mut at = self.at(&fitted, part, values, nuisances)?;
         fitted.spec.clone_from(&at.spec);
-        let mut damping = 1e-4;
-        let mut system = self.linearise(&fitted, &at.values, &at.nuisances, &at.steps, None)?;
+        let mut damping = UNDAMPED;
+        let mut system = self.slopes(&mut fitted, &at, None)?;
         // Coarse slopes lead near, where fine ones take over.
         let coarse = |fitted: &Fitted<'_>| !fitted.fine && settings.iterations > SORTING;
         // Where the slopes along the nuisances were taken, and whether the values have moved since.
@@ -89,8 +89,8 @@ impl<'a> Measured<'a> {
                 if !coarse(&fitted) {
                     break;
                 }
-                fitted.fine = true;
-                system = self.linearise(&fitted, &at.values, &at.nuisances, &at.steps, Some(system))?;
+                (fitted.fine, damping) = (true, UNDAMPED);
+                system = self.slopes(&mut fitted, &at, Some(system))?;
                 continue;
             }
             let before = at.total;
@@ -99,7 +99,12 @@ impl<'a> Measured<'a> {
                 None if chords > 0 => {}
                 None if kept => {
                     (kept, cost_of_nuisances) = (false, at.cost);
-                    system = self.linearise(&fitted, &at.values, &at.nuisances, &at.steps, None)?;
+                    system = self.slopes(&mut fitted, &at, None)?;
+                    continue;
+                }
+                None if coarse(&fitted) && damping >= STALLED => {
+                    (fitted.fine, damping) = (true, UNDAMPED);
+                    system = self.slopes(&mut fitted, &at, Some(system))?;
                     continue;
                 }
                 None => {
@@ -139,14 +144,14 @@ impl<'a> Measured<'a> {
             if ended && coarse(&fitted) {
                 (fitted.fine, ended, idle) = (true, false, 0);
             }
-            system = self.linearise(&fitted, &at.values, &at.nuisances, &at.steps, kept.then_some(system))?;
+            system = self.slopes(&mut fitted, &at, kept.then_some(system))?;
             if ended {
                 break;
             }
         }
         if coarse(&fitted) {
             fitted.fine = true;
-            system = self.linearise(&fitted, &at.values, &at.nuisances, &at.steps, Some(system))?;
+            system = self.slopes(&mut fitted, &at, Some(system))?;
         }
         let count = at.steps.iter().map(|s| self.count(s.window)).sum();
         let prior = if fitted.moving { at.total - at.cost } else { 0.0 };
@@ -194,6 +199,22 @@ impl<'a> Measured<'a> {
             }
         }
         at
+    }
+
+    /// The slopes where a fit stands. Fine ones again where the coarse ones had made a number's deviation too small, and with it the
+    /// difference: what a solver's errors add to slopes is information that is not there.
+    fn slopes(&self, fitted: &mut Fitted<'_>, at: &At<'_>, known: Option<System>) -> Option<System> {
+        let mut system = self.linearise(fitted, &at.values, &at.nuisances, &at.steps, known)?;
+        for _ in 0..AGAIN {
+            let before = std::mem::replace(&mut fitted.deviations, system.deviations(fitted.free));
+            let grown = |(now, before): (&f64, &f64)| *now > GROWN * before;
+            let exact = is_piecewise_linear(&fitted.spec);
+            if exact || !fitted.fine || !fitted.deviations.iter().zip(&before).any(grown) {
+                break;
+            }
+            system = self.linearise(fitted, &at.values, &at.nuisances, &at.steps, Some(system))?;
+        }
+        Some(system)
     }
 
     pub(super) fn linearise(
@@ -335,6 +356,14 @@ pub(super) struct Fitted<'b> {
     pub(super) moving: bool,
     /// Slopes along the numbers as good as they are to be had.
     pub(super) fine: bool,
+    /// Standard deviation of each value as far as it is known; none before the first slopes.
+    pub(super) deviations: Vec<f64>,
+}
+
+impl<'b> Fitted<'b> {
+    pub(super) fn new(spec: &ModelSpec, numbers: &'b Numbers, free: &'b [Free], fine: bool) -> Self {
+        Self { spec: spec.clone(), numbers, free, moving: true, fine, deviations: Vec::new() }
+    }
 }
 
 /// Where a fit stands.
@@ -381,6 +410,21 @@ impl System {
             0.0
         };
         of_steps.sum::<f64>() + of_values + of_priors
+    }
+
+    /// Standard deviations of the values; none where the normal equations do not tell them.
+    fn deviations(&self, free: &[Free]) -> Vec<f64> {
+        let n = self.gradient.len();
+        let scaled = |i: usize, j: usize| {
+            let of_prior = if i == j && free[i].prior.1.is_finite() {
+                (free[i].scale / free[i].prior.1).powi(2)
+            } else {
+                0.0
+            };
+            self.normal[(i, j)] * free[i].scale * free[j].scale + of_prior
+        };
+        let inverse = DMatrix::from_fn(n, n, scaled).cholesky().map(|root| root.inverse());
+        inverse.map_or(Vec::new(), |of| (0..n).map(|j| free[j].scale * of[(j, j)].sqrt()).collect())
     }
 
     /// Values and nuisances after a damped step.

@@ -126,7 +126,7 @@ impl Measured<'_> {
         for (part, laid) in laid {
             let Some((_, steps)) = self.lay(spec, part, &laid.values, &laid.nuisances) else { return false };
             let free = self.free(numbers, 0.0);
-            let fitted = Fitted { spec: spec.clone(), numbers, free: &free, moving: false, fine: true };
+            let fitted = Fitted { moving: false, ..Fitted::new(spec, numbers, &free, true) };
             let every = steps.len().div_ceil(STEPS).max(1);
             let each: Vec<usize> = (0..steps.len()).step_by(every).collect();
             let profiles = parallel::map_with(

@@ -54,7 +54,7 @@ impl<'a> Measured<'a> {
     ) -> Option<Tangent<'b, 'a>> {
         let free = self.free(numbers, 0.0);
         let (_, steps) = self.lay(spec, Part::Training, &laid.values, &laid.nuisances)?;
-        let fitted = Fitted { spec: spec.clone(), numbers, free: &free, moving: true, fine: false };
+        let fitted = Fitted::new(spec, numbers, &free, false);
         let system = self.linearise(&fitted, &laid.values, &laid.nuisances, &steps, None)?;
         let mut normal = system.normal.clone();
         let mut gradient = system.gradient.clone();
