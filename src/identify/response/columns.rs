@@ -126,7 +126,7 @@ impl Measured<'_> {
                 (false, false) => (COARSE, WIDE[0], 1),
                 (false, true) => (TO_BOTH_SIDES[1], WIDE[1], 2),
             };
-            // Solvers' errors over what is known already are not to count beside what the record tells.
+            // Where the record tells a number far better than its scale, errors of the solver would be much of a narrower difference.
             let known = fitted.deviations.get(j).copied().unwrap_or(0.0);
             let h = (share * free.scale).max((deviations * known).min(WIDEST * free.scale));
             let sides = [h, -h].into_iter().filter_map(|h| Some((specimens(h)?, h))).take(most).collect();
