@@ -43,24 +43,29 @@ pub struct Fit {
 impl Fit {
     /// Covariance with the priors, each residual counting `1/inflation` of an independent one.
     pub fn covariance(&self, free: &[Free], inflation: f64) -> DMatrix<f64> {
-        let n = free.len();
-        let mut matrix = &self.information / inflation.max(1e-300);
-        for (j, number) in free.iter().enumerate() {
-            if number.prior.1.is_finite() {
-                matrix[(j, j)] += 1.0 / number.prior.1.powi(2);
-            }
-        }
-        // Scaled to unit diagonal before inversion: the numbers span many decades.
-        let d: Vec<f64> = (0..n).map(|j| matrix[(j, j)].max(1e-300).sqrt()).collect();
-        let scaled = DMatrix::from_fn(n, n, |i, j| matrix[(i, j)] / (d[i] * d[j]));
-        let inverse = scaled
-            .clone()
-            .cholesky()
-            .map(|c| c.inverse())
-            .or_else(|| scaled.pseudo_inverse(1e-12).ok())
-            .unwrap_or_else(|| DMatrix::identity(n, n) * 1e12);
-        DMatrix::from_fn(n, n, |i, j| inverse[(i, j)] / (d[i] * d[j]))
+        covariance(&self.information, free, inflation)
     }
+}
+
+/// Covariance of what such information and the priors tell, each residual counting `1/inflation` of an independent one.
+pub fn covariance(information: &DMatrix<f64>, free: &[Free], inflation: f64) -> DMatrix<f64> {
+    let n = free.len();
+    let mut matrix = information / inflation.max(1e-300);
+    for (j, number) in free.iter().enumerate() {
+        if number.prior.1.is_finite() {
+            matrix[(j, j)] += 1.0 / number.prior.1.powi(2);
+        }
+    }
+    // Scaled to unit diagonal before inversion: the numbers span many decades.
+    let d: Vec<f64> = (0..n).map(|j| matrix[(j, j)].max(1e-300).sqrt()).collect();
+    let scaled = DMatrix::from_fn(n, n, |i, j| matrix[(i, j)] / (d[i] * d[j]));
+    let inverse = scaled
+        .clone()
+        .cholesky()
+        .map(|c| c.inverse())
+        .or_else(|| scaled.pseudo_inverse(1e-12).ok())
+        .unwrap_or_else(|| DMatrix::identity(n, n) * 1e12);
+    DMatrix::from_fn(n, n, |i, j| inverse[(i, j)] / (d[i] * d[j]))
 }
 
 /// Settings of the iteration.

@@ -205,11 +205,16 @@ impl<'a> Measured<'a> {
     /// difference: what a solver's errors add to slopes is information that is not there.
     fn slopes(&self, fitted: &mut Fitted<'_>, at: &At<'_>, known: Option<System>) -> Option<System> {
         let mut system = self.linearise(fitted, &at.values, &at.nuisances, &at.steps, known)?;
+        // The width of exact differences depends on nothing.
+        if !fitted.moving || is_piecewise_linear(&fitted.spec) {
+            return Some(system);
+        }
         for _ in 0..AGAIN {
-            let before = std::mem::replace(&mut fitted.deviations, system.deviations(fitted.free));
+            let covariance = least_squares::covariance(&system.normal, fitted.free, 1.0);
+            let now = covariance.diagonal().iter().map(|variance| variance.max(0.0).sqrt()).collect();
+            let before = std::mem::replace(&mut fitted.deviations, now);
             let grown = |(now, before): (&f64, &f64)| *now > GROWN * before;
-            let exact = is_piecewise_linear(&fitted.spec);
-            if exact || !fitted.fine || !fitted.deviations.iter().zip(&before).any(grown) {
+            if !fitted.fine || !fitted.deviations.iter().zip(&before).any(grown) {
                 break;
             }
             system = self.linearise(fitted, &at.values, &at.nuisances, &at.steps, Some(system))?;
@@ -410,21 +415,6 @@ impl System {
             0.0
         };
         of_steps.sum::<f64>() + of_values + of_priors
-    }
-
-    /// Standard deviations of the values; none where the normal equations do not tell them.
-    fn deviations(&self, free: &[Free]) -> Vec<f64> {
-        let n = self.gradient.len();
-        let scaled = |i: usize, j: usize| {
-            let of_prior = if i == j && free[i].prior.1.is_finite() {
-                (free[i].scale / free[i].prior.1).powi(2)
-            } else {
-                0.0
-            };
-            self.normal[(i, j)] * free[i].scale * free[j].scale + of_prior
-        };
-        let inverse = DMatrix::from_fn(n, n, scaled).cholesky().map(|root| root.inverse());
-        inverse.map_or(Vec::new(), |of| (0..n).map(|j| free[j].scale * of[(j, j)].sqrt()).collect())
     }
 
     /// Values and nuisances after a damped step.
