@@ -34,6 +34,8 @@ const ANOTHER: f64 = 0.3;
 /// one's.
 pub(super) const WORTH: f64 = 4.0;
 const SHARE: f64 = 0.05;
+/// Nats to first order that the most of so many starts may bring by chance: where no fit from there gains anything, none is looked for.
+const CHANCE: f64 = 8.0;
 /// Nats by which a model has to do better when it is fitted again.
 const BETTER: f64 = 2.0;
 /// Nats that a simpler effect beside the one that contains it has to bring.
@@ -300,8 +302,9 @@ impl Searcher<'_> {
         let mut finalists: Vec<Trial> =
             parallel::map(&tried, parallel::cores(), arrived).into_iter().flatten().collect();
         best_first(&mut finalists, from);
-        // Of a long record nothing better need be looked for where the best brings nothing.
-        if measured.is_long() && finalists.first().is_none_or(|best| verdict::apart(best, from) <= 0.0) {
+        // Nothing better need be looked for where the best brings nothing, of a long record or when no more was promised.
+        let looked_for = !measured.is_long() && (best > CHANCE || far);
+        if !looked_for && finalists.first().is_none_or(|best| verdict::apart(best, from) <= 0.0) {
             return finalists;
         }
         // The other starts of the best, and of those that come near it: a likelihood with several summits.
