@@ -188,12 +188,13 @@ fn instrument(
 ) -> Result<Added, AddError> {
     let sound = || AddError::Sound { name: given.name.clone() };
     let found = motion.instruments.as_ref().ok_or_else(sound)?;
-    let finding = instruments::judge(found, record, Tolerances::default())
+    let mut finding = instruments::judge(found, record, Tolerances::default())
         .into_iter()
         .find(|finding| finding.name == given.name)
         .ok_or_else(sound)?;
-    let mut estimates = finding.parameters;
-    if let ("accelerometer-gain", Some((_, estimate, _))) = (given.name.as_str(), estimates.first_mut()) {
+    if let ("accelerometer-gain", Some((_, estimate, _))) =
+        (given.name.as_str(), finding.parameters.first_mut())
+    {
         // The effect is one of the first accelerometer; the finding may be one of the other.
         let gain = found.accelerometers[0].gain;
         if (gain.value - 1.0).abs() < Tolerances::default().accelerometer_gain + 3.0 * gain.sigma {
@@ -201,10 +202,15 @@ fn instrument(
         }
         *estimate = gain.into();
     }
+    // Where the model follows the record, its response tells a gain better.
+    let searcher = Searcher::new(motion, nominal, Effort::default());
+    let base = searcher.base(nominal);
+    let gains = base.map_or(Vec::new(), |base| searcher.gains(&base));
+    gains.first().copied().into_iter().for_each(|gains| finding.sharpen(gains));
     let (mut model, mut effect) = (nominal.clone(), given.clone());
     let index = model.effects.len();
-    let mut parameters = Vec::with_capacity(estimates.len());
-    for (name, estimate, _) in &estimates {
+    let mut parameters = Vec::with_capacity(finding.parameters.len());
+    for (name, estimate, _) in &finding.parameters {
         let before = effect.parameters.insert(name.clone(), estimate.value).unwrap_or(f64::NAN);
         parameters.push(Fitted {
             key: format!("effect[{index}].{name}"),

@@ -105,16 +105,16 @@ pub fn diagnose_together(
         return Err(MotionError::TooShort { samples: 0, needed: 1 }.into());
     };
     let mut parts = Vec::with_capacity(tests.len());
-    let mut findings: Vec<Finding> = Vec::new();
+    let mut findings: Vec<(usize, Finding)> = Vec::new();
     let mut notes: Vec<String> = Vec::new();
-    for (record, model) in tests {
+    for (i, (record, model)) in tests.iter().enumerate() {
         crate::model::build(model, 1.0 / record.sample_rate_hz)?;
         notes.extend(of_record(record, options.anyway)?);
         let motion = Motion::of(record, model.mass_kg, options.tolerances)?;
         let judged = |found| instruments::judge(found, record, options.tolerances);
         for finding in motion.instruments.as_ref().map(judged).unwrap_or_default() {
-            if !findings.iter().any(|known| known.name == finding.name) {
-                findings.push(finding);
+            if !findings.iter().any(|(_, known)| known.name == finding.name) {
+                findings.push((i, finding));
             }
         }
         parts.push((motion, Setting::between(nominal, model)?));
@@ -127,6 +127,11 @@ pub fn diagnose_together(
     let shaped = |taken: &Trial| searcher.shaped(&search.base, taken, options.thresholds.of_shape(taken));
     let mut decision = verdict::decide(&search, structure, shaped, options.thresholds);
     decision.chosen = searcher.bounded(decision.chosen);
+    let gains = searcher.gains(&decision.chosen);
+    for (i, finding) in &mut findings {
+        gains.get(*i).copied().into_iter().for_each(|gains| finding.sharpen(gains));
+    }
+    let findings: Vec<Finding> = findings.into_iter().map(|(_, finding)| finding).collect();
     let mut out = Composer { tests, nominal, options, motion: &motion, searcher: &searcher }
         .compose(&search, decision, &findings, notes)
         .ok_or_else(diverges)?;

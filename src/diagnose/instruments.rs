@@ -33,6 +33,22 @@ impl From<Estimate> for Estimate95 {
     }
 }
 
+impl Finding {
+    /// Takes up what the response of a model that follows the record says of its gains, factors: of the displacement sensor and of the
+    /// accelerometers.
+    pub fn sharpen(&mut self, [laser, accelerometers]: [Estimate; 2]) {
+        let factor = match self.name.as_str() {
+            "laser-gain" => laser,
+            "accelerometer-gain" => accelerometers,
+            _ => return,
+        };
+        for (_, estimate, _) in &mut self.parameters {
+            let value = estimate.value;
+            *estimate = Estimate { value: value * factor.value, sigma: value.abs() * factor.sigma }.into();
+        }
+    }
+}
+
 /// Judges what the kinematics told.
 pub fn judge(found: &Instruments, record: &Record, tolerances: Tolerances) -> Vec<Finding> {
     let mut out = Vec::new();

@@ -4,6 +4,7 @@ use super::by_response::first_of_each;
 use super::candidates;
 use super::trial::{self, Trial};
 use super::verdict::{self, Thresholds};
+use crate::identify::kinematics::Estimate;
 use crate::identify::least_squares::Settings;
 use crate::identify::motion::Motion;
 use crate::identify::problem::{NARROW, OutputError, Part, Problem, WIDE};
@@ -158,6 +159,11 @@ impl<'a> Searcher<'a> {
         Some(errors)
     }
 
+    /// What a model's response says of each record's gains; nothing where it does not follow them.
+    pub fn gains(&self, trial: &Trial) -> Vec<[Estimate; 2]> {
+        self.measured.as_ref().map_or(Vec::new(), |measured| trial.gains(measured))
+    }
+
     /// Every so many samples count in the output domain.
     pub fn stride(&self) -> usize {
         self.stride
@@ -174,6 +180,7 @@ impl<'a> Searcher<'a> {
             let told = [
                 measured.learn_slow_noise(&base.refit.spec, &base.refit.numbers, laid),
                 measured.learn_jumps(&base.refit.spec, laid),
+                measured.learn_noise_of_drive(&base.refit.spec),
             ];
             if told.contains(&true) { trial::respond(measured, &base, None, settings) } else { None }
         });

@@ -1,5 +1,6 @@
 //! One candidate tried: fitted together with the base model's numbers, judged on held-out steps.
 
+use crate::identify::kinematics::Estimate;
 use crate::identify::least_squares::Settings;
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::{Part, Problem};
@@ -177,6 +178,14 @@ impl Trial {
     /// The same, or residuals that are less than far off but hang together.
     pub fn leaves_much(&self) -> bool {
         self.is_far() || self.response.as_ref().is_some_and(|r| r.colour() > COLOURED)
+    }
+
+    /// What its response says of each record's gains; nothing where it does not follow the records.
+    pub fn gains(&self, measured: &Measured<'_>) -> Vec<[Estimate; 2]> {
+        let followed = self.response.as_ref().filter(|_| !self.is_far());
+        followed.map_or(Vec::new(), |response| {
+            measured.gains(&self.refit.numbers, &response.training, response.left[0].colour)
+        })
     }
 
     /// Number of fitted values.

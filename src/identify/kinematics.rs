@@ -94,6 +94,9 @@ impl Instruments {
     }
 }
 
+/// Share of an accelerometer's power at high frequencies that is its noise at least.
+const LEAST: f64 = 0.04;
+
 /// Estimates gains, delays, leaks and noise of a base record.
 ///
 /// `None` when the record is not of that kind or too short to tell.
@@ -120,8 +123,18 @@ pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
     });
     let [(laser, laser_noise_m, tapered_laser), (table, table_noise_m_s2, _), one, two] =
         seen.try_into().ok()?;
-    let mass_noise_m_s2 = [one.1, two.1];
-    let acceleration_noise_m_s2 = table_noise_m_s2.hypot(one.1.max(two.1));
+    // The jumps of impacts and friction are in both accelerometers alike, their noise is not.
+    let alike = if std::ptr::eq(second, &raw const record.mass_acceleration_1_m_s2) {
+        0.0
+    } else {
+        let apart: Vec<f64> =
+            record.mass_acceleration_1_m_s2.iter().zip(second).map(|(one, two)| one - two).collect();
+        let apart = noise_under_taper(&tapered(&apart, rate));
+        0.5 * (one.1.powi(2) + two.1.powi(2) - apart.powi(2)).max(0.0)
+    };
+    let mass_noise_m_s2 =
+        [one.1, two.1].map(|noise| (noise.powi(2) - alike).max(LEAST * noise.powi(2)).sqrt());
+    let acceleration_noise_m_s2 = table_noise_m_s2.hypot(mass_noise_m_s2[0].max(mass_noise_m_s2[1]));
     let band = Band::of(&tapered_laser, laser_noise_m, acceleration_noise_m_s2)?;
     let related =
         parallel::map(&[one.0, two.0], parallel::cores(), |mass| Relation::fit(&laser, &table, mass, &band));

@@ -31,6 +31,8 @@ pub struct Window {
     pub held_out: bool,
     /// The motion settles in it, and goes farther than in any steady stretch.
     pub settling: bool,
+    /// The record has no steady steps: what drives it is known as it was measured.
+    pub random: bool,
     /// Number of the record that it comes from.
     pub source: usize,
     /// Noise that is left in what drives a simulation, m/s2 rms a sample over the window.

@@ -35,7 +35,7 @@ impl Measured<'_> {
         let common = self.common(job.values, window);
         let column = |a: &dyn Fn(usize) -> f64, d: &dyn Fn(usize) -> f64| -> Vec<f64> {
             let mut column: Vec<f64> = (0..n).map(|i| sa * a(i)).chain((0..n).map(|i| sd * d(i))).collect();
-            self.whiten(window.source, &mut column[n..]);
+            self.whiten(window, &mut column);
             column
         };
         let counted = self.counts();
@@ -52,7 +52,7 @@ impl Measured<'_> {
             let sides: Vec<_> = m
                 .sides
                 .iter_mut()
-                .map(|(of, h)| changed(&self.simulate(of, window, common[0], own), *h))
+                .map(|(of, h)| changed(&self.simulate(of, window, common, own), *h))
                 .collect();
             along.push(mean(&sides, 2 * n));
         }
@@ -62,7 +62,7 @@ impl Measured<'_> {
                 let mut along_start = |h: f64| {
                     let mut start = own.to_vec();
                     start[j] += h;
-                    changed(&self.simulate(&mut job.own, window, common[0], &start), h)
+                    changed(&self.simulate(&mut job.own, window, common, &start), h)
                 };
                 let sigma = sigma.max(1e-12);
                 let sides = if job.exact { &[SMALL[0]][..] } else { &[TO_BOTH_SIDES[0], -TO_BOTH_SIDES[0]] };
@@ -97,6 +97,14 @@ impl Measured<'_> {
             along.push(column(&late, &|i| rate * slopes(&step.simulated, i).1));
             along.push(column(&|_| 0.0, &|i| -step.simulated[i].1));
             along.push(column(&of_a, &|_| 0.0));
+            along.push(if window.random {
+                let h = self.table_zero_m_s2 * if job.exact { SMALL[0] } else { TO_BOTH_SIDES[0] };
+                let mut moved = common.to_vec();
+                moved[COMMON - 1] += h;
+                changed(&self.simulate(&mut job.own, window, &moved, own), h)
+            } else {
+                vec![0.0; 2 * n]
+            });
             along.extend(nothing(self.records() - 1 - window.source));
         }
         // A large residual stands as the root of its share of the cost.

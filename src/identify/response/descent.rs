@@ -3,7 +3,8 @@
 
 use super::columns::Job;
 use super::tangent::is_piecewise_linear;
-use super::{Laid, Measured, Nuisances, Step, TOGETHER, robust};
+use super::{COMMON, Laid, Measured, Nuisances, Step, TOGETHER, robust};
+use crate::identify::kinematics::Estimate;
 use crate::identify::least_squares::{self, Free, Settings, dot};
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
@@ -317,6 +318,18 @@ impl<'a> Measured<'a> {
     /// Covariance of a fit's values, so many residuals counting as one independent one.
     pub(super) fn covariance(&self, numbers: &Numbers, laid: &Laid, colour: f64) -> DMatrix<f64> {
         laid.as_fit(&laid.values, laid.information.clone()).covariance(&self.free(numbers, 0.0), colour)
+    }
+
+    /// What the response says of each record's gains, of the displacement sensor and of the accelerometers on the mass, beside what the
+    /// kinematics say: factors.
+    pub fn gains(&self, numbers: &Numbers, laid: &Laid, colour: f64) -> Vec<[Estimate; 2]> {
+        let (first, covariance) = (self.of_model(&laid.values), self.covariance(numbers, laid, colour));
+        let gain = |j: usize| Estimate {
+            value: 1.0 + laid.values[j],
+            sigma: covariance[(j, j)].max(0.0).sqrt(),
+        };
+        let of = |record: usize| [first + COMMON * record + 3, first + COMMON * record + 4].map(gain);
+        (0..self.records()).map(of).collect()
     }
 
     /// The fit as the rest of the diagnosis knows fits: the model's numbers and the zero, everything else eliminated.

@@ -46,8 +46,8 @@ impl Measured<'_> {
         for (part, laid) in laid {
             for (k, own) in self.windows(part).iter().zip(&laid.nuisances) {
                 let window = &self.motion.windows[*k];
-                let zero_m = self.common(&laid.values, window)[0];
-                let mut sampled = self.sampled(&mut specimens, window, zero_m, own);
+                let common = self.common(&laid.values, window);
+                let mut sampled = self.sampled(&mut specimens, window, common, own);
                 let simulated = sampled.simulated.clone();
                 sampled.spread(&specimens, self.motion.sample_rate_hz);
                 for (i, (of, spread)) in simulated.iter().zip(&sampled.simulated).enumerate() {

@@ -29,7 +29,8 @@ impl Measured<'_> {
         let (_, steps) = self.lay(spec, part, &laid.values, &laid.nuisances)?;
         let of = |((step, own), k): ((&Step<'_>, &Nuisances), &usize)| {
             let common = self.common(&laid.values, step.window);
-            let misfit = self.misfit(step.window, &step.simulated, common, own);
+            let mut misfit = self.misfit(step.window, &step.simulated, common, own);
+            self.follow_drive(step.window, &mut misfit);
             let (of_a, of_d) = misfit.split_at(step.simulated.len());
             let laser = &motion.laser_m[step.window.range.clone()];
             let mean = laser.iter().sum::<f64>() / laser.len().max(1) as f64;

@@ -7,6 +7,7 @@
 
 mod columns;
 mod descent;
+mod driven;
 mod jumps;
 mod left;
 mod memory;
@@ -19,6 +20,7 @@ mod tests;
 pub use left::Left;
 pub use tangent::{Score, Tangent};
 
+use driven::Innovations;
 use jumps::{Sampled, beside_jumps};
 use slow::Slow;
 
@@ -43,8 +45,8 @@ const LONG: usize = 360_000;
 /// Standard deviation of the time between the table's channel and the others, in samples.
 const LAG: f64 = 0.3;
 /// Numbers beyond the model's of each record: zero of the displacement sensor, leak, lag, gains of the displacement sensor and of the
-/// accelerometers, as far as the kinematics leave them open.
-const COMMON: usize = 5;
+/// accelerometers, as far as the kinematics leave them open, zero of the table's acceleration where it need not come back.
+const COMMON: usize = 6;
 /// Nuisances of every step that take a simulation to follow: start displacement and velocity, amplitude, time and frequency of what
 /// drives it.
 /// After them come the offsets of what drives it in each half cycle, where there is noise in it; then, without a simulation, the zero
@@ -62,6 +64,8 @@ const HUBER: f64 = 6.0;
 /// A change of a residual by less than this, in units of the noise, within the small difference of a slope is no jump that went
 /// over a sample.
 const OVER: f64 = 1.0;
+/// The least deviation of the zero of the table's acceleration.
+const LEAST_ZERO_M_S2: f64 = 1e-6;
 /// Steps that one core simulates before it takes others.
 const TOGETHER: usize = 4;
 
@@ -77,12 +81,15 @@ pub struct Measured<'a> {
     gain_sigmas: [f64; 2],
     drift_m: f64,
     table_noise_m_s2: f64,
+    table_zero_m_s2: f64,
     /// Whether each sample of the acceleration counts, by the record alone.
     counts: Vec<bool>,
     /// The same when a fitted model has said where jumps are.
     told: Arc<OnceLock<Vec<bool>>>,
     /// Slow noise of each record's displacement sensor, when a fitted model has told it.
     slow: Arc<RwLock<Arc<Vec<Slow>>>>,
+    /// What noise in what drives each window does, when a fitted model has told it.
+    driven: Arc<OnceLock<Vec<Option<Innovations>>>>,
     /// What a springpot remembers at the beginning of each window.
     remembered: Arc<OnceLock<Vec<Vec<f64>>>>,
 }
@@ -95,7 +102,7 @@ pub type Nuisances = Vec<f64>;
 /// A model laid against the steps of a part.
 #[derive(Clone, Debug)]
 pub struct Laid {
-    /// Model's numbers, then of each record zero (m), leak, lag (s), gains of the displacement sensor and of the accelerometers less 1.
+    /// Model's numbers, then of each record zero (m), leak, lag (s), gains of the displacement sensor and of the accelerometers less 1, zero of the table (m/s2).
     pub values: Vec<f64>,
     nuisances: Vec<Nuisances>,
     /// Twice the negative logarithm of the likelihood but for a constant: squares in units of the noise, in steps far from
@@ -185,9 +192,11 @@ impl<'a> Measured<'a> {
                 .instruments
                 .as_ref()
                 .map_or(motion.restoring_noise_m_s2, |i| i.table_noise_m_s2),
+            table_zero_m_s2: zero_of_table_m_s2(motion),
             counts: beside_jumps(&motion.restoring_m_s2, motion.restoring_noise_m_s2),
             told: Arc::default(),
             slow: Arc::default(),
+            driven: Arc::default(),
             remembered: Arc::default(),
         })
     }
@@ -231,6 +240,7 @@ impl<'a> Measured<'a> {
                     ("lag", LAG * self.motion.dt_s()),
                     ("gain of the displacement sensor", self.gain_sigmas[0]),
                     ("gain of the accelerometers", self.gain_sigmas[1]),
+                    ("zero of the table's acceleration", self.table_zero_m_s2),
                 ]
                 .map(|(key, sigma)| Free {
                     key: key.into(),
@@ -273,6 +283,9 @@ impl<'a> Measured<'a> {
     /// Offsets of what drives a step: one in each half cycle, where it is noisy; more where that is all there is to tell a number by,
     /// since noise within half a slow cycle moves the mass by more than the displacement sensor's.
     fn offsets(&self, window: &Window) -> usize {
+        if window.random {
+            return 0;
+        }
         if window.settling {
             return FINE * (self.knots(window) - 1);
         }
@@ -295,15 +308,28 @@ impl<'a> Measured<'a> {
     }
 
     /// Simulates a step from the measured state, moved by so much, jumps spread.
-    fn simulate(&self, specimens: &mut Specimens, window: &Window, zero_m: f64, start: &[f64]) -> Simulated {
-        let mut sampled = self.sampled(specimens, window, zero_m, start);
+    fn simulate(
+        &self,
+        specimens: &mut Specimens,
+        window: &Window,
+        common: &[f64],
+        start: &[f64],
+    ) -> Simulated {
+        let mut sampled = self.sampled(specimens, window, common, start);
         sampled.spread(specimens, self.motion.sample_rate_hz);
         sampled.simulated
     }
 
     /// The same with its jumps as they are; hidden states are warmed up along the measured motion.
-    fn sampled(&self, specimens: &mut Specimens, window: &Window, zero_m: f64, start: &[f64]) -> Sampled {
+    fn sampled(
+        &self,
+        specimens: &mut Specimens,
+        window: &Window,
+        common: &[f64],
+        start: &[f64],
+    ) -> Sampled {
         let motion = self.motion;
+        let (zero_m, table_zero_m_s2) = (common[0], if window.random { common[5] } else { 0.0 });
         let specimen = &mut *specimens.each[window.source];
         specimen.reset();
         let source = &motion.sources[window.source];
@@ -333,7 +359,8 @@ impl<'a> Measured<'a> {
                 * (motion.drive_m_s2[(n + 1).min(end)] - motion.drive_m_s2[n.max(1) - 1])
                 * motion.sample_rate_hz;
             let late_s = start[3] + start[4] * (2.0 * (n as f64 - window.range.start as f64) / length - 1.0);
-            motion.drive_m_s2[n] * (1.0 + start[2]) + slope * late_s + offsets.get(at).unwrap_or(&0.0)
+            let offset = table_zero_m_s2 + offsets.get(at).unwrap_or(&0.0);
+            motion.drive_m_s2[n] * (1.0 + start[2]) + slope * late_s + offset
         };
         specimen.prime(drive(last));
         let table: Vec<f64> = window.range.clone().map(drive).collect();
@@ -378,7 +405,7 @@ impl<'a> Measured<'a> {
         out
     }
 
-    /// The misfit, slow noise of the displacement sensor made white.
+    /// The misfit, slow noise of the displacement sensor made white, and what noise in the drive does.
     fn white_misfit(
         &self,
         window: &Window,
@@ -387,7 +414,7 @@ impl<'a> Measured<'a> {
         nuisances: &[f64],
     ) -> Vec<f64> {
         let mut out = self.misfit(window, simulated, common, nuisances);
-        self.whiten(window.source, &mut out[simulated.len()..]);
+        self.whiten(window, &mut out);
         out
     }
 
@@ -482,7 +509,7 @@ impl<'a> Measured<'a> {
     ) -> Option<(f64, Step<'a>)> {
         let window = &self.motion.windows[k];
         let common = self.common(values, window);
-        let simulated = self.simulate(specimens, window, common[0], own);
+        let simulated = self.simulate(specimens, window, common, own);
         let residuals = self.residuals(window, &simulated, common, own);
         let chi2 = dot(&residuals, &residuals);
         let own = DVector::from_column_slice(own);
@@ -500,6 +527,23 @@ impl<'a> Measured<'a> {
         let hidden = !spec.effects.iter().all(stateless);
         Some(Specimens { each: sources.iter().map(build).collect::<Option<_>>()?, hidden, remembers, kicks })
     }
+}
+
+/// Deviation of the zero of the table's acceleration, its mean over a record: the table need not end as fast as it began.
+fn zero_of_table_m_s2(motion: &Motion) -> f64 {
+    if !motion.windows.iter().any(|window| window.random) {
+        return LEAST_ZERO_M_S2;
+    }
+    let mut velocity_m_s = 0.0;
+    let (mut sum, mut square) = (0.0, 0.0);
+    for a in &motion.drive_m_s2 {
+        velocity_m_s += a * motion.dt_s();
+        sum += velocity_m_s;
+        square += velocity_m_s * velocity_m_s;
+    }
+    let n = motion.drive_m_s2.len() as f64;
+    let rms = (square / n - (sum / n).powi(2)).max(0.0).sqrt();
+    (2.0_f64.sqrt() * rms / (n * motion.dt_s())).max(LEAST_ZERO_M_S2)
 }
 
 /// Rise of a simulated sample to the next, by central differences, a sample.

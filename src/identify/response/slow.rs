@@ -98,7 +98,7 @@ pub(super) struct Slow {
 
 impl Measured<'_> {
     /// Makes what a step has of the displacement sensor white.
-    pub(super) fn whiten(&self, source: usize, displacement: &mut [f64]) {
+    pub(super) fn whiten_displacement(&self, source: usize, displacement: &mut [f64]) {
         if let Some(slow) = self.slow().get(source) {
             slow.whitening.whiten(displacement);
         }
@@ -171,7 +171,7 @@ impl Measured<'_> {
     ) -> Option<Vec<f64>> {
         let (window, n) = (step.window, step.simulated.len());
         let far = dot(&step.residuals, &step.residuals) > ROBUST * self.count(window) as f64;
-        if far || window.settling {
+        if far || window.settling || window.random {
             return None;
         }
         let rate = self.motion.sample_rate_hz;

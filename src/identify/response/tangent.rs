@@ -75,7 +75,7 @@ impl<'a> Measured<'a> {
             let mut specimens = self.specimens(&with_nothing(spec))?;
             for ((step, own), general) in steps.iter().zip(&laid.nuisances).zip(&mut general) {
                 let common = self.common(&laid.values, step.window);
-                let simulated = self.simulate(&mut specimens, step.window, common[0], own);
+                let simulated = self.simulate(&mut specimens, step.window, common, own);
                 *general = self.white_misfit(step.window, &simulated, common, own);
             }
         }
@@ -152,7 +152,7 @@ impl Tangent<'_, '_> {
     ) -> Vec<f64> {
         let window = self.steps[k].window;
         let common = self.measured.common(values, window);
-        let simulated = self.measured.simulate(specimens, window, common[0], nuisances);
+        let simulated = self.measured.simulate(specimens, window, common, nuisances);
         let mut changed = self.measured.white_misfit(window, &simulated, common, nuisances);
         changed.iter_mut().zip(before).for_each(|(c, r)| *c -= r);
         changed

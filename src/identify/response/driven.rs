@@ -1,0 +1,188 @@
+//! Noise in what drives a step that is no sine - an earthquake, random noise -: nothing tells it from the motion, and the mass answers it
+//! as a resonator does, in both channels and over many cycles. Residuals and slopes are made white there, as what is left of them
+//! when a filter along the linearised motion has said what the noise has done so far. The search has it told with the jumps.
+
+use super::{Measured, QUIET, Window};
+use crate::model::ModelSpec;
+
+/// What an isolator and its bumpers do beside a displacement: restoring acceleration over displacement (1/s2) and velocity (1/s).
+type Slope = [f64; 2];
+
+/// Innovations of the errors that noise in the drive makes in A and D (Kalman 1960; as residuals of a prediction error method:
+/// Ljung, System Identification, 2nd ed. 1999, ch. 7). Errors of displacement and velocity start from nothing: the state at the start of
+/// a step is estimated beside it.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Innovations {
+    dt_s: f64,
+    /// Over the noise of D.
+    of_d: f64,
+    samples: Vec<Sample>,
+}
+
+/// One sample: what the error in A is to the errors of displacement and velocity, and gain and inverse deviation of both channels.
+#[derive(Clone, Debug, Default)]
+struct Sample {
+    slope: Slope,
+    of_a: [f64; 2],
+    gain_a: [f64; 2],
+    gain_d: [f64; 2],
+    over: [f64; 2],
+}
+
+/// Errors of displacement and velocity a sample later.
+fn later([d, v]: [f64; 2], [stiffness, damping]: Slope, dt: f64) -> [f64; 2] {
+    let a = -stiffness * d - damping * v;
+    let jerk = -stiffness * v - damping * a;
+    [d + dt * (v + 0.5 * dt * a), v + dt * (a + 0.5 * dt * jerk)]
+}
+
+impl Innovations {
+    /// Along a motion with such slopes: deviation of the drive's noise, of A's and D's, and where A counts.
+    fn new(slopes: &[Slope], counts: &[bool], [drive, a, d]: [f64; 3], dt: f64) -> Self {
+        // Covariance of the errors: displacement, both, velocity.
+        let mut p = [0.0; 3];
+        let (of_d, grows) = (1.0 / d, (drive * dt).powi(2));
+        let seen = |p: &mut [f64; 3], h: [f64; 2]| -> ([f64; 2], f64) {
+            let through = [p[0] * h[0] + p[1] * h[1], p[1] * h[0] + p[2] * h[1]];
+            let variance = 1.0 + h[0] * through[0] + h[1] * through[1];
+            let gain = through.map(|x| x / variance);
+            p[0] -= gain[0] * through[0];
+            p[1] -= gain[0] * through[1];
+            p[2] -= gain[1] * through[1];
+            (gain, 1.0 / variance.sqrt())
+        };
+        let samples = slopes.iter().zip(counts).map(|(&slope, &counts)| {
+            // Columns of the transition, then the covariance through it.
+            let (c, e) = (later([1.0, 0.0], slope, dt), later([0.0, 1.0], slope, dt));
+            let through = |x: usize, y: usize| {
+                c[x] * (c[y] * p[0] + e[y] * p[1]) + e[x] * (c[y] * p[1] + e[y] * p[2])
+            };
+            p = [through(0, 0), through(0, 1), through(1, 1) + grows];
+            let of_a = slope.map(|s| -s / a);
+            let (gain_a, over_a) = if counts { seen(&mut p, of_a) } else { ([0.0; 2], 0.0) };
+            let (gain_d, over_d) = seen(&mut p, [of_d, 0.0]);
+            Sample { slope, of_a, gain_a, gain_d, over: [over_a, over_d] }
+        });
+        Self { dt_s: dt, of_d, samples: samples.collect() }
+    }
+
+    /// Takes the place of both channels, A before D, in units of their noise: innovations of unit variance, or what is left of each
+    /// channel in its own units.
+    fn take(&self, channels: &mut [f64], unit: bool) {
+        let n = self.samples.len().min(channels.len() / 2);
+        let (in_a, in_d) = channels.split_at_mut(n);
+        let mut error = [0.0; 2];
+        for ((sample, a), d) in self.samples.iter().zip(in_a).zip(in_d) {
+            error = later(error, sample.slope, self.dt_s);
+            let left_a = *a - sample.of_a[0] * error[0] - sample.of_a[1] * error[1];
+            (0..2).for_each(|i| error[i] += sample.gain_a[i] * left_a);
+            let left_d = *d - self.of_d * error[0];
+            (0..2).for_each(|i| error[i] += sample.gain_d[i] * left_d);
+            let counts = f64::from(u8::from(sample.over[0] > 0.0));
+            [*a, *d] = if unit {
+                [sample.over[0] * left_a, sample.over[1] * left_d]
+            } else {
+                [counts * left_a, left_d]
+            };
+        }
+    }
+}
+
+impl Measured<'_> {
+    /// Tells what noise in the drive does beside the motion of a fitted model. Once; says whether there is any.
+    pub fn learn_noise_of_drive(&self, spec: &ModelSpec) -> bool {
+        let noisy = |window: &Window| window.random && window.drive_noise_m_s2 > QUIET * self.table_noise_m_s2;
+        if self.driven.get().is_some() || !self.motion.windows.iter().any(noisy) {
+            return false;
+        }
+        let motion = self.motion;
+        let of = |window: &Window| {
+            if !noisy(window) {
+                return None;
+            }
+            let spec = motion.sources[window.source].setting.of(spec);
+            let range = window.range.clone();
+            let slopes: Vec<Slope> =
+                motion.displacement_m[range.clone()].iter().map(|d| slope(&spec, *d)).collect();
+            let noises = [window.drive_noise_m_s2, motion.restoring_noise_m_s2, motion.laser_noise_m];
+            Some(Innovations::new(&slopes, &self.counts()[range], noises, motion.dt_s()))
+        };
+        self.driven.set(motion.windows.iter().map(of).collect()).is_ok()
+    }
+
+    /// Makes both channels of a step white.
+    pub(super) fn whiten(&self, window: &Window, channels: &mut [f64]) {
+        match self.innovations(window) {
+            Some(innovations) => innovations.take(channels, true),
+            None => self.whiten_displacement(window.source, &mut channels[window.range.len()..]),
+        }
+    }
+
+    /// Takes from both channels of a step what noise in the drive has done.
+    pub(super) fn follow_drive(&self, window: &Window, channels: &mut [f64]) {
+        if let Some(innovations) = self.innovations(window) {
+            innovations.take(channels, false);
+        }
+    }
+
+    fn innovations(&self, window: &Window) -> Option<&Innovations> {
+        let all = self.driven.get().filter(|_| window.random)?;
+        let index = self.motion.windows.iter().position(|w| std::ptr::eq(w, window))?;
+        all.get(index)?.as_ref()
+    }
+}
+
+/// Slopes of the restoring acceleration of isolator and bumper at a displacement.
+fn slope(spec: &ModelSpec, displacement_m: f64) -> Slope {
+    let isolator = &spec.isolator;
+    let far = displacement_m.abs();
+    let segment = isolator.breakpoints_m.iter().filter(|knee| far > **knee).count();
+    let mut stiffness = isolator.stiffness_n_m.get(segment).copied().unwrap_or(0.0);
+    let mut damping = isolator.damping_n_s_m;
+    if let Some(bumper) = spec.bumper.as_ref().filter(|bumper| far > 0.5 * bumper.total_gap_m) {
+        stiffness += bumper.stiffness_n_m;
+        damping += bumper.damping_n_s_m;
+    }
+    [stiffness / spec.mass_kg, damping / spec.mass_kg]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identify::least_squares::dot;
+    use rand::{SeedableRng, prelude::Distribution};
+
+    #[test]
+    fn what_noise_in_the_drive_does_is_made_white() {
+        let (dt, n, slope) = (1e-3, 60_000, [650.0, 2.5]);
+        let noises = [0.02, 7e-3, 8e-6];
+        let mut random = rand_pcg::Pcg64::seed_from_u64(5);
+        let mut normal = || -> f64 { rand_distr::StandardNormal.sample(&mut random) };
+        let mut error = [0.0; 2];
+        let (mut a, mut d) = (Vec::new(), Vec::new());
+        for _ in 0..n {
+            error = later(error, slope, dt);
+            error[1] += noises[0] * dt * normal();
+            a.push((-slope[0] * error[0] - slope[1] * error[1]) / noises[1] + normal());
+            d.push(error[0] / noises[2] + normal());
+        }
+        let covariance = |x: &[f64], lag: usize| dot(&x[lag..], &x[..x.len() - lag]) / x.len() as f64;
+        assert!(covariance(&d, 4) > 0.5, "{}", covariance(&d, 4));
+        let mut counts = vec![true; n];
+        counts[1000..1010].fill(false);
+        a[1000..1010].fill(0.0);
+        let mut white = [a, d].concat();
+        let innovations = Innovations::new(&vec![slope; n], &counts, noises, dt);
+        innovations.take(&mut white, true);
+        for channel in white.chunks(n) {
+            assert!((covariance(channel, 0) - 1.0).abs() < 5.0 * (2.0 / n as f64).sqrt());
+            for lag in [1, 4, 30, 250, 2000] {
+                let found = covariance(channel, lag);
+                assert!(found.abs() < 5.0 / (n as f64).sqrt(), "{lag}: {found}");
+            }
+        }
+        assert!(white[1000..1010].iter().all(|x| *x == 0.0));
+        let across = dot(&white[..n], &white[n..]) / n as f64;
+        assert!(across.abs() < 5.0 / (n as f64).sqrt(), "{across}");
+    }
+}
