@@ -1,13 +1,13 @@
 //! Study of the diagnosis on records with a hidden effect: makes cases from seeds, diagnoses each,
 //! prints one line a case (tab separated) and a summary: verdicts, how many 95 % intervals hold the truth where it was named,
 //! held-out error over noise floor, how often what was named is there by its probability. With `--told true` wrong verdicts are
-//! laid beside the specimen itself. Studies: `blind`, `healthy`, `outside`, `pairs`, and `removed`, where the effect and
+//! laid beside the specimen itself; with `--shaking noise` the table moves as in an earthquake. Studies: `blind`, `healthy`, `outside`, `pairs`, and `removed`, where the effect and
 //! its twin are taken out of the catalogue. Never quote seeds that were developed on.
 //!
 //! `cargo run --release -p hil-tests --example hidden -- blind --seeds 1000..1200 --size 0.05 --noise 1`
 
 use hil_tests::arguments;
-use hil_tests::hidden::{self, Hidden, Recipe};
+use hil_tests::hidden::{self, Hidden, Recipe, Shaking};
 use shaketable::diagnose::search::{Effort, Searcher};
 use shaketable::diagnose::trial::Trial;
 use shaketable::diagnose::verdict::{self, Thresholds};
@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut words = std::env::args().skip(1);
     let study = words.next().unwrap_or_else(|| "blind".to_owned());
     let (mut seeds, mut size, mut noise, mut only) = (0..20u64, 0.05, 1.0, None);
-    let (mut verbose, mut told) = (false, false);
+    let (mut verbose, mut told, mut shaking) = (false, false, Shaking::Sweep);
     arguments::each(words, |word, value| {
         match word {
             "--seeds" => seeds = arguments::seeds(&value)?,
@@ -32,6 +32,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             "--noise" => noise = value.parse()?,
             "--verbose" => verbose = value.parse()?,
             "--told" => told = value.parse()?,
+            "--shaking" => {
+                shaking = match value.as_str() {
+                    "sweep" => Shaking::Sweep,
+                    "noise" => Shaking::Noise,
+                    _ => return Err(format!("--shaking {value}: sweep or noise").into()),
+                };
+            }
             "--only" => only = Some(value),
             _ => return Ok(false),
         }
@@ -53,7 +60,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             _ => vec![all[seed as usize % all.len()]],
         };
         let foreign = (study == "outside").then_some(seed as usize % hidden::FOREIGN.len());
-        let recipe = Recipe { seed, effects: effects.clone(), foreign, size, noise };
+        let recipe = Recipe { seed, effects: effects.clone(), foreign, size, noise, shaking };
         let Some(case) = hidden::make(&recipe) else {
             println!("{seed}\t{}\tnot reached", effects.join("+"));
             continue;

@@ -24,6 +24,18 @@ pub struct Recipe {
     pub size: f64,
     /// Multiple of 0.01 m/s2 and 30 um of sensor noise.
     pub noise: f64,
+    /// How the table moves.
+    pub shaking: Shaking,
+}
+
+/// How the table of a record moves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Shaking {
+    /// Steps of a sine, up and down again.
+    #[default]
+    Sweep,
+    /// Noise from below the isolator's frequency to the bumpers', which swells and ebbs as an earthquake does.
+    Noise,
 }
 
 /// A record, the model that someone would have of it, and the truth.
@@ -92,7 +104,10 @@ pub fn make(recipe: &Recipe) -> Option<Hidden> {
     let nominal = nominal(&mut random, needs_bumper);
     let acceleration = [0.03, 0.04, 0.05][random.random_range(0..3)] * STANDARD_GRAVITY_M_S2;
     let mut truth = off_nominal(&nominal, &mut random);
-    let input = sweep(acceleration);
+    let input = match recipe.shaking {
+        Shaking::Sweep => sweep(acceleration),
+        Shaking::Noise => noise(acceleration, &mut random),
+    };
     for name in &recipe.effects {
         truth = with_effect(&truth, effects::find(name).ok()?, None, recipe.size, &input, &mut random)?;
     }
@@ -179,6 +194,39 @@ struct Input {
 
 fn sweep(amplitude: f64) -> Input {
     input(amplitude, (0..10).map(|i| 0.6 + 0.35 * f64::from(i)).collect(), 10.0)
+}
+
+/// A minute of noise of such an rms at its strongest, from 0.3 to 6 Hz, twice swelling and ebbing from rest to rest.
+fn noise(rms: f64, random: &mut Pcg64) -> Input {
+    const WAVES: usize = 150;
+    const DURATION_S: f64 = 60.0;
+    let samples = (DURATION_S * SAMPLE_RATE_HZ) as usize;
+    let amplitude = rms * (2.0 / WAVES as f64).sqrt();
+    let waves: Vec<(f64, f64)> = (0..WAVES)
+        .map(|i| {
+            let low = 0.3 * 20.0_f64.powf(i as f64 / WAVES as f64);
+            let high = 0.3 * 20.0_f64.powf((i + 1) as f64 / WAVES as f64);
+            (TAU * random.random_range(low..high), random.random_range(0.0..TAU))
+        })
+        .collect();
+    let mut input = Input { acceleration: vec![], displacement: vec![], step: vec![] };
+    let turn = TAU / DURATION_S;
+    for n in 0..samples {
+        let t = n as f64 / SAMPLE_RATE_HZ;
+        // Envelope and its derivatives, of the displacement: the table ends where it began.
+        let (sin, cos) = (turn * t).sin_cos();
+        let envelope = [sin * sin, 2.0 * turn * sin * cos, 2.0 * turn * turn * (cos * cos - sin * sin)];
+        let mut of = [0.0; 3];
+        for (w, phase) in &waves {
+            let (sin, cos) = (w * t + phase).sin_cos();
+            of[0] -= amplitude * sin / (w * w);
+            of[1] -= amplitude * cos / w;
+            of[2] += amplitude * sin;
+        }
+        input.displacement.push(envelope[0] * of[0]);
+        input.acceleration.push(envelope[2] * of[0] + 2.0 * envelope[1] * of[1] + envelope[0] * of[2]);
+    }
+    input
 }
 
 /// So many cycles at each frequency, up and down again.

@@ -1,6 +1,6 @@
 //! The diagnosis on records with a hidden effect; a small part of the study that the book reports.
 
-use hil_tests::hidden::{self, Recipe};
+use hil_tests::hidden::{self, Recipe, Shaking};
 use shaketable::compare::compare;
 use shaketable::diagnose::live::evidence;
 use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose, diagnose_together};
@@ -10,7 +10,8 @@ use shaketable::record::data::ReadOptions;
 use std::path::Path;
 
 fn case(seed: u64, effects: &[&'static str], size: f64) -> Diagnosis {
-    let recipe = Recipe { seed, effects: effects.to_vec(), foreign: None, size, noise: 1.0 };
+    let recipe =
+        Recipe { seed, effects: effects.to_vec(), foreign: None, size, noise: 1.0, shaking: Shaking::Sweep };
     let case = hidden::make(&recipe).expect("the effect reaches its size");
     diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record")
 }
@@ -53,6 +54,7 @@ fn records_of_two_gaps_are_diagnosed_together() {
         foreign: None,
         size: 0.08,
         noise: 1.0,
+        shaking: Shaking::Sweep,
     };
     let first = hidden::make(&recipe).expect("the effect reaches its size");
     let second = hidden::again(&first, 0.004, 5_000_303).expect("a response");
@@ -72,7 +74,14 @@ type Fault = fn(&mut Record);
 
 #[test]
 fn what_is_wrong_with_a_record_is_named_before_any_physics() {
-    let recipe = Recipe { seed: 5_000_401, effects: vec![], foreign: None, size: 0.05, noise: 1.0 };
+    let recipe = Recipe {
+        seed: 5_000_401,
+        effects: vec![],
+        foreign: None,
+        size: 0.05,
+        noise: 1.0,
+        shaking: Shaking::Sweep,
+    };
     let case = hidden::make(&recipe).expect("nothing to reach");
     let faults: [(&str, Fault); 5] = [
         ("cycles of the input", |r| {
@@ -103,12 +112,62 @@ fn what_is_wrong_with_a_record_is_named_before_any_physics() {
 #[test]
 fn a_force_that_no_effect_explains_is_outside_the_catalogue() {
     // A ripple over the displacement.
-    let recipe = Recipe { seed: 5_000_201, effects: vec![], foreign: Some(0), size: 0.12, noise: 1.0 };
+    let recipe = Recipe {
+        seed: 5_000_201,
+        effects: vec![],
+        foreign: Some(0),
+        size: 0.12,
+        noise: 1.0,
+        shaking: Shaking::Sweep,
+    };
     let case = hidden::make(&recipe).expect("the force reaches its size");
     let found = diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record");
     assert_eq!(found.verdict, Verdict::OutsideCatalogue, "{:?}", found.effects);
     let shape = found.missing_force.expect("a shape");
     assert!(shape.explained_by_surface > 0.5, "{}", shape.explained_by_surface);
+}
+
+#[test]
+fn a_record_driven_by_noise_is_judged_as_one_of_steps_is() {
+    let of = |seed: u64, effects: Vec<&'static str>| {
+        let recipe = Recipe { seed, effects, foreign: None, size: 0.05, noise: 1.0, shaking: Shaking::Noise };
+        let case = hidden::make(&recipe).expect("the effect reaches its size");
+        let mut record = case.record.clone();
+        // Without a displacement of the table, as most records of earthquakes are.
+        record.table_displacement_m.clear();
+        let found = diagnose(&record, &case.nominal, &Options::default()).expect("a sound record");
+        assert!(found.error_after < 1.05 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+        (found, case.truth)
+    };
+    let (healthy, _) = of(5_000_601, vec![]);
+    assert_eq!(healthy.verdict, Verdict::Adequate, "{:?}", healthy.effects);
+    let (found, truth) = of(5_000_602, vec!["quadratic-damping"]);
+    assert_eq!(
+        found.effects.first().map(|e| e.name.as_str()),
+        Some("quadratic-damping"),
+        "{:?}",
+        found.effects
+    );
+    let damping = &found.effects[0].parameters["c2_n_s2_m2"];
+    let meant = truth.effects[0].parameters["c2_n_s2_m2"];
+    assert!((damping.value - meant).abs() < 1.5 * (damping.high95 - damping.low95), "{damping:?} {meant}");
+}
+
+#[test]
+fn a_gain_is_told_by_the_response_where_the_kinematics_leave_it_open() {
+    let found = case(5_000_603, &["laser-gain"], 0.05);
+    let gain = &found.effects.first().filter(|e| e.name == "laser-gain").expect("named").parameters["gain"];
+    assert!(gain.high95 - gain.low95 < 2e-3, "{gain:?}");
+    let recipe = Recipe {
+        seed: 5_000_603,
+        effects: vec!["laser-gain"],
+        foreign: None,
+        size: 0.05,
+        noise: 1.0,
+        shaking: Shaking::Sweep,
+    };
+    let meant = hidden::make(&recipe).expect("made").truth.effects[0].parameters["gain"];
+    assert!((gain.value - meant).abs() < gain.high95 - gain.low95, "{gain:?} {meant}");
 }
 
 /// A component with nothing promised of it, as the book has it.
@@ -170,7 +229,8 @@ fn the_measured_damper_shows_memory_then_play() {
 #[test]
 fn an_effect_taken_out_of_the_catalogue_is_outside_it() {
     let effects = vec!["stiffness-degradation"];
-    let recipe = Recipe { seed: 5_000_507, effects, foreign: None, size: 0.08, noise: 1.0 };
+    let recipe =
+        Recipe { seed: 5_000_507, effects, foreign: None, size: 0.08, noise: 1.0, shaking: Shaking::Sweep };
     let case = hidden::make(&recipe).expect("the effect reaches its size");
     let without = hidden::with_twin("stiffness-degradation");
     let options = Options { without: without.clone(), ..Options::default() };

@@ -50,9 +50,16 @@ pub(super) fn cut(record: &Record, motion: &Motion, with_farthest: bool) -> Vec<
     let settles = with_farthest && record.step.len() == n && motion.kind == Kind::Base;
     let farthest = if settles { farthest(record, motion, &windows) } else { None };
     let last = windows.len().saturating_sub(1);
+    // Nor that of a record without steps in which the mass goes farthest.
+    let top = |window: &Window| {
+        motion.displacement_m[window.range.clone()].iter().fold(0.0_f64, |top, d| top.max(d.abs()))
+    };
+    let outermost = (0..windows.len())
+        .filter(|i| windows[*i].random)
+        .max_by(|a, b| top(&windows[*a]).total_cmp(&top(&windows[*b])));
     for (i, window) in windows.iter_mut().enumerate() {
         let seen = farthest.as_ref().is_some_and(|farthest| farthest.step == window.step);
-        window.held_out = i % 3 == 1 && i != last && !seen;
+        window.held_out = i % 3 == 1 && i != last && !seen && outermost != Some(i);
     }
     windows.extend(farthest);
     windows.sort_by_key(|window| window.range.start);

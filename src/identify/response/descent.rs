@@ -324,10 +324,8 @@ impl<'a> Measured<'a> {
     /// kinematics say: factors.
     pub fn gains(&self, numbers: &Numbers, laid: &Laid, colour: f64) -> Vec<[Estimate; 2]> {
         let (first, covariance) = (self.of_model(&laid.values), self.covariance(numbers, laid, colour));
-        let gain = |j: usize| Estimate {
-            value: 1.0 + laid.values[j],
-            sigma: covariance[(j, j)].max(0.0).sqrt(),
-        };
+        let gain =
+            |j: usize| Estimate { value: 1.0 + laid.values[j], sigma: covariance[(j, j)].max(0.0).sqrt() };
         let of = |record: usize| [first + COMMON * record + 3, first + COMMON * record + 4].map(gain);
         (0..self.records()).map(of).collect()
     }

@@ -54,9 +54,8 @@ impl Innovations {
         let samples = slopes.iter().zip(counts).map(|(&slope, &counts)| {
             // Columns of the transition, then the covariance through it.
             let (c, e) = (later([1.0, 0.0], slope, dt), later([0.0, 1.0], slope, dt));
-            let through = |x: usize, y: usize| {
-                c[x] * (c[y] * p[0] + e[y] * p[1]) + e[x] * (c[y] * p[1] + e[y] * p[2])
-            };
+            let through =
+                |x: usize, y: usize| c[x] * (c[y] * p[0] + e[y] * p[1]) + e[x] * (c[y] * p[1] + e[y] * p[2]);
             p = [through(0, 0), through(0, 1), through(1, 1) + grows];
             let of_a = slope.map(|s| -s / a);
             let (gain_a, over_a) = if counts { seen(&mut p, of_a) } else { ([0.0; 2], 0.0) };
@@ -66,9 +65,8 @@ impl Innovations {
         Self { dt_s: dt, of_d, samples: samples.collect() }
     }
 
-    /// Takes the place of both channels, A before D, in units of their noise: innovations of unit variance, or what is left of each
-    /// channel in its own units.
-    fn take(&self, channels: &mut [f64], unit: bool) {
+    /// Takes the place of both channels, A before D, in units of their noise.
+    fn whiten(&self, channels: &mut [f64]) {
         let n = self.samples.len().min(channels.len() / 2);
         let (in_a, in_d) = channels.split_at_mut(n);
         let mut error = [0.0; 2];
@@ -78,12 +76,7 @@ impl Innovations {
             (0..2).for_each(|i| error[i] += sample.gain_a[i] * left_a);
             let left_d = *d - self.of_d * error[0];
             (0..2).for_each(|i| error[i] += sample.gain_d[i] * left_d);
-            let counts = f64::from(u8::from(sample.over[0] > 0.0));
-            [*a, *d] = if unit {
-                [sample.over[0] * left_a, sample.over[1] * left_d]
-            } else {
-                [counts * left_a, left_d]
-            };
+            [*a, *d] = [sample.over[0] * left_a, sample.over[1] * left_d];
         }
     }
 }
@@ -91,7 +84,8 @@ impl Innovations {
 impl Measured<'_> {
     /// Tells what noise in the drive does beside the motion of a fitted model. Once; says whether there is any.
     pub fn learn_noise_of_drive(&self, spec: &ModelSpec) -> bool {
-        let noisy = |window: &Window| window.random && window.drive_noise_m_s2 > QUIET * self.table_noise_m_s2;
+        let noisy =
+            |window: &Window| window.random && window.drive_noise_m_s2 > QUIET * self.table_noise_m_s2;
         if self.driven.get().is_some() || !self.motion.windows.iter().any(noisy) {
             return false;
         }
@@ -113,15 +107,15 @@ impl Measured<'_> {
     /// Makes both channels of a step white.
     pub(super) fn whiten(&self, window: &Window, channels: &mut [f64]) {
         match self.innovations(window) {
-            Some(innovations) => innovations.take(channels, true),
+            Some(innovations) => innovations.whiten(channels),
             None => self.whiten_displacement(window.source, &mut channels[window.range.len()..]),
         }
     }
 
-    /// Takes from both channels of a step what noise in the drive has done.
+    /// Takes from both channels of a step what noise in the drive has done: what is left is as much as their own noise.
     pub(super) fn follow_drive(&self, window: &Window, channels: &mut [f64]) {
         if let Some(innovations) = self.innovations(window) {
-            innovations.take(channels, false);
+            innovations.whiten(channels);
         }
     }
 
@@ -173,7 +167,7 @@ mod tests {
         a[1000..1010].fill(0.0);
         let mut white = [a, d].concat();
         let innovations = Innovations::new(&vec![slope; n], &counts, noises, dt);
-        innovations.take(&mut white, true);
+        innovations.whiten(&mut white);
         for channel in white.chunks(n) {
             assert!((covariance(channel, 0) - 1.0).abs() < 5.0 * (2.0 / n as f64).sqrt());
             for lag in [1, 4, 30, 250, 2000] {

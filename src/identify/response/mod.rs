@@ -321,13 +321,7 @@ impl<'a> Measured<'a> {
     }
 
     /// The same with its jumps as they are; hidden states are warmed up along the measured motion.
-    fn sampled(
-        &self,
-        specimens: &mut Specimens,
-        window: &Window,
-        common: &[f64],
-        start: &[f64],
-    ) -> Sampled {
+    fn sampled(&self, specimens: &mut Specimens, window: &Window, common: &[f64], start: &[f64]) -> Sampled {
         let motion = self.motion;
         let (zero_m, table_zero_m_s2) = (common[0], if window.random { common[5] } else { 0.0 });
         let specimen = &mut *specimens.each[window.source];
@@ -529,21 +523,18 @@ impl<'a> Measured<'a> {
     }
 }
 
-/// Deviation of the zero of the table's acceleration, its mean over a record: the table need not end as fast as it began.
+/// Deviation of the zero of the table's acceleration, its mean over a record: without a displacement of the table nothing says that it
+/// ends as fast as it began. How fast either may be goes with the acceleration in the first and last cycle.
 fn zero_of_table_m_s2(motion: &Motion) -> f64 {
-    if !motion.windows.iter().any(|window| window.random) {
+    if !motion.windows.iter().any(|window| window.random) || motion.table_crossover_rad_s > 0.0 {
         return LEAST_ZERO_M_S2;
     }
-    let mut velocity_m_s = 0.0;
-    let (mut sum, mut square) = (0.0, 0.0);
-    for a in &motion.drive_m_s2 {
-        velocity_m_s += a * motion.dt_s();
-        sum += velocity_m_s;
-        square += velocity_m_s * velocity_m_s;
-    }
-    let n = motion.drive_m_s2.len() as f64;
-    let rms = (square / n - (sum / n).powi(2)).max(0.0).sqrt();
-    (2.0_f64.sqrt() * rms / (n * motion.dt_s())).max(LEAST_ZERO_M_S2)
+    let (drive, frequency_hz) = (&motion.drive_m_s2, motion.median_frequency_hz());
+    let cycle = ((motion.sample_rate_hz / frequency_hz) as usize).clamp(1, drive.len());
+    let rms = |a: &[f64]| (dot(a, a) / a.len() as f64).sqrt();
+    let ends = rms(&drive[..cycle]).hypot(rms(&drive[drive.len() - cycle..]));
+    let speed_m_s = ends / (std::f64::consts::TAU * frequency_hz);
+    (speed_m_s / (drive.len() as f64 * motion.dt_s())).max(LEAST_ZERO_M_S2)
 }
 
 /// Rise of a simulated sample to the next, by central differences, a sample.
