@@ -154,6 +154,15 @@ fn a_record_driven_by_noise_is_judged_as_one_of_steps_is() {
 }
 
 #[test]
+fn a_knee_that_was_left_just_beyond_the_motion_is_found_within() {
+    let found = case(9_200_005, &["stribeck-friction"], 0.05);
+    let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+    assert_eq!(names, ["stribeck-friction"]);
+    let knee = found.reidentified.iter().find(|r| r.key == "isolator.breakpoints_m[1]").expect("fitted");
+    assert!((knee.value - 0.037926).abs() < 1e-4 && knee.nominal > knee.high95, "{knee:?}");
+}
+
+#[test]
 fn a_gain_is_told_by_the_response_where_the_kinematics_leave_it_open() {
     let found = case(5_000_603, &["laser-gain"], 0.05);
     let gain = &found.effects.first().filter(|e| e.name == "laser-gain").expect("named").parameters["gain"];

@@ -2,7 +2,7 @@
 //! contains a simpler effect is tried without it. The search calls it wherever a base record drives a simulation.
 
 use super::candidates;
-use super::search::{Search, Searcher, Stage, best_first};
+use super::search::{Search, Searcher, Stage, UNSEEN, best_first};
 use super::trial::{self, Response, Trial};
 use super::verdict;
 use crate::identify::least_squares::Settings;
@@ -49,6 +49,9 @@ const HEARD_ANEW: usize = 6;
 /// its prior's width that it is then left.
 const ASTRAY: f64 = 5.0;
 const HELD: f64 = 0.01;
+/// Share of the largest displacement at which a knee beyond it is tried, if that is within so many deviations of its prior.
+const JUST: f64 = 0.985;
+const WIDELY: f64 = 3.0;
 /// Profiles of an explanation that may come upon a better place.
 const PROFILES: usize = 3;
 /// How a fit goes on.
@@ -342,6 +345,30 @@ impl Searcher<'_> {
         if let Some(back) = self.brought_back(best) {
             take(trial::respond(measured, &back, None, FURTHER_ON), best);
         }
+        for within in self.knees_within(best) {
+            take(trial::respond(measured, &within, None, FURTHER_ON), best);
+        }
+    }
+
+    /// A fitted model with a knee just within the motion that was left beyond it, where it has no slope to follow, although it may well
+    /// lie within.
+    fn knees_within(&self, best: &Trial) -> Vec<Trial> {
+        let motion = self.motion;
+        let fitted = motion.windows.iter().filter(|window| !window.held_out);
+        let reach_m = fitted
+            .flat_map(|window| &motion.displacement_m[window.range.clone()])
+            .fold(0.0_f64, |reach, d| reach.max(d.abs()));
+        let Refit { numbers, sigmas, .. } = &best.refit;
+        let tried =
+            numbers.numbers.iter().zip(&numbers.free).zip(sigmas).filter_map(|((number, free), sigma)| {
+                let (mean, width) = free.prior;
+                let within_m = JUST * reach_m;
+                let knee = number.key.starts_with("isolator.breakpoints_m");
+                let may = knee && *sigma > UNSEEN * width && (mean - within_m).abs() < WIDELY * width;
+                let mut start = best.clone();
+                (may && start.refit.spec.set(&number.key, within_m).is_ok()).then_some(start)
+            });
+        tried.collect()
     }
 
     /// One effect alone on top of a fitted model, a fit of it by force at hand.

@@ -94,8 +94,8 @@ impl Instruments {
     }
 }
 
-/// Share of an accelerometer's power at high frequencies that is its noise at least.
-const LEAST: f64 = 0.04;
+/// Two accelerometers that differ by less, over what they show at high frequencies, are one.
+const LEAST: f64 = 0.05;
 
 /// Estimates gains, delays, leaks and noise of a base record.
 ///
@@ -124,16 +124,12 @@ pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
     let [(laser, laser_noise_m, tapered_laser), (table, table_noise_m_s2, _), one, two] =
         seen.try_into().ok()?;
     // The jumps of impacts and friction are in both accelerometers alike, their noise is not.
-    let alike = if std::ptr::eq(second, &raw const record.mass_acceleration_1_m_s2) {
-        0.0
-    } else {
-        let apart: Vec<f64> =
-            record.mass_acceleration_1_m_s2.iter().zip(second).map(|(one, two)| one - two).collect();
-        let apart = noise_under_taper(&tapered(&apart, rate));
-        0.5 * (one.1.powi(2) + two.1.powi(2) - apart.powi(2)).max(0.0)
-    };
-    let mass_noise_m_s2 =
-        [one.1, two.1].map(|noise| (noise.powi(2) - alike).max(LEAST * noise.powi(2)).sqrt());
+    let apart: Vec<f64> =
+        record.mass_acceleration_1_m_s2.iter().zip(second).map(|(one, two)| one - two).collect();
+    let (both, apart) = (one.1.hypot(two.1), noise_under_taper(&tapered(&apart, rate)));
+    // Channels that are the same come from one sensor.
+    let own = if apart > LEAST * both { (apart / both).min(1.0) } else { 1.0 };
+    let mass_noise_m_s2 = [one.1, two.1].map(|noise| own * noise);
     let acceleration_noise_m_s2 = table_noise_m_s2.hypot(mass_noise_m_s2[0].max(mass_noise_m_s2[1]));
     let band = Band::of(&tapered_laser, laser_noise_m, acceleration_noise_m_s2)?;
     let related =
@@ -356,7 +352,9 @@ fn share_gains(relations: &[Relation; 2], tolerances: Tolerances) -> Option<Inst
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::record::Kind;
     use rand::{SeedableRng, prelude::Distribution};
+    use std::f64::consts::TAU;
 
     /// D is given in closed form, A follows from kinematics.
     fn record(laser_gain: f64, laser_delay_s: f64, gain_1: f64, leak_2: f64) -> Record {
@@ -407,5 +405,39 @@ mod tests {
         let one = examine(&record(1.0, 0.0, 1.03, 0.0), Tolerances::default()).expect("base record");
         assert!((one.accelerometers[0].gain.value - 1.03).abs() < 3e-3, "{one:?}");
         assert!((one.laser_gain.value - 1.0).abs() < 2e-3, "{one:?}");
+    }
+
+    #[test]
+    fn jumps_that_both_accelerometers_show_are_no_noise() {
+        let mut random = rand_pcg::Pcg64::seed_from_u64(9);
+        let normal = rand_distr::StandardNormal;
+        let mut noise = |s: f64| -> f64 {
+            let z: f64 = normal.sample(&mut random);
+            s * z
+        };
+        let mut record = Record::empty("jumps", Kind::Base, 1000.0);
+        let mut jump = 0.0;
+        for i in 0..20_000 {
+            let t = f64::from(i) / 1000.0;
+            let (sin, table) = ((TAU * 2.0 * t).sin(), noise(0.01));
+            // Now and then, as no line of the spectrum is.
+            if noise(1.0) > 2.0 {
+                jump = 0.5 - jump;
+            }
+            record.time_s.push(t);
+            record.table_acceleration_m_s2.push(table);
+            record.mass_acceleration_1_m_s2.push(sin + jump + noise(0.01));
+            record.mass_acceleration_2_m_s2.push(sin + jump + noise(0.01));
+            record.relative_displacement_m.push(-sin / (TAU * 2.0).powi(2) + noise(3e-5));
+        }
+        let of = |record: &Record| {
+            examine(record, Tolerances::default()).expect("long enough").accelerometers.map(|a| a.noise_m_s2)
+        };
+        for noise in of(&record) {
+            assert!((noise / 0.01 - 1.0).abs() < 0.1, "{noise}");
+        }
+        // One sensor in both channels tells nothing of its noise.
+        record.mass_acceleration_2_m_s2.clone_from(&record.mass_acceleration_1_m_s2);
+        assert!(of(&record)[0] > 0.01);
     }
 }

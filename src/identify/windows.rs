@@ -163,7 +163,7 @@ fn equal_parts(n: usize, motion: &Motion) -> Vec<Window> {
             range: i * length..(i + 1) * length,
             held_out: false,
             settling: false,
-            random: true,
+            random: motion.kind == Kind::Base,
             source: 0,
             drive_noise_m_s2: 0.0,
             wave_noise_m_s2: 0.0,
