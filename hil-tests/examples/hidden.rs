@@ -1,8 +1,9 @@
 //! Study of the diagnosis on records with a hidden effect: makes cases from seeds, diagnoses each,
 //! prints one line a case (tab separated) and a summary: verdicts, how many 95 % intervals hold the truth where it was named,
 //! held-out error over noise floor, how often what was named is there by its probability. With `--told true` wrong verdicts are
-//! laid beside the specimen itself; with `--shaking noise` the table moves as in an earthquake. Studies: `blind`, `healthy`, `outside`, `pairs`, and `removed`, where the effect and
-//! its twin are taken out of the catalogue. Never quote seeds that were developed on.
+//! laid beside the specimen itself; with `--shaking noise` the table moves as in an earthquake. Studies: `blind`, `healthy`,
+//! `outside`, `pairs`, and `removed`, where the effect and its twin are taken out of the catalogue. Never quote seeds that were
+//! developed on.
 //!
 //! `cargo run --release -p hil-tests --example hidden -- blind --seeds 1000..1200 --size 0.05 --noise 1`
 

@@ -332,7 +332,7 @@ impl Searcher<'_> {
     }
 
     /// A way from far off takes longer; it may have begun in a wrong direction, from where numbers of the model's own made up for what
-    /// is there now.
+    /// is there now, or have left a knee beyond the motion.
     fn go_on(&self, measured: &Measured<'_>, best: &mut Trial) {
         let take = |arrived: Option<Trial>, best: &mut Trial| {
             if let Some(arrived) = arrived.filter(|arrived| verdict::apart(arrived, best) > 0.0) {
