@@ -3,7 +3,12 @@
 //! when a filter along the linearised motion has said what the noise has done so far. The search has it told with the jumps.
 
 use super::{Measured, QUIET, Window};
+use crate::identify::least_squares::dot;
+use crate::identify::motion::Motion;
 use crate::model::ModelSpec;
+
+/// The least deviation of the zero of the table's acceleration.
+const LEAST_ZERO_M_S2: f64 = 1e-6;
 
 /// What an isolator and its bumpers do beside a displacement: restoring acceleration over displacement (1/s2) and velocity (1/s).
 type Slope = [f64; 2];
@@ -126,6 +131,20 @@ impl Measured<'_> {
     }
 }
 
+/// Deviation of the zero of the table's acceleration, its mean over a record: without a displacement of the table nothing says that it
+/// ends as fast as it began. How fast either may be goes with the acceleration in the first and last cycle.
+pub(super) fn zero_of_table_m_s2(motion: &Motion) -> f64 {
+    if !motion.windows.iter().any(|window| window.random) || motion.table_crossover_rad_s > 0.0 {
+        return LEAST_ZERO_M_S2;
+    }
+    let (drive, frequency_hz) = (&motion.drive_m_s2, motion.median_frequency_hz());
+    let cycle = ((motion.sample_rate_hz / frequency_hz) as usize).clamp(1, drive.len());
+    let rms = |a: &[f64]| (dot(a, a) / a.len() as f64).sqrt();
+    let ends = rms(&drive[..cycle]).hypot(rms(&drive[drive.len() - cycle..]));
+    let speed_m_s = ends / (std::f64::consts::TAU * frequency_hz);
+    (speed_m_s / (drive.len() as f64 * motion.dt_s())).max(LEAST_ZERO_M_S2)
+}
+
 /// Slopes of the restoring acceleration of isolator and bumper at a displacement.
 fn slope(spec: &ModelSpec, displacement_m: f64) -> Slope {
     let isolator = &spec.isolator;
@@ -143,7 +162,6 @@ fn slope(spec: &ModelSpec, displacement_m: f64) -> Slope {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::identify::least_squares::dot;
     use rand::{SeedableRng, prelude::Distribution};
 
     #[test]

@@ -20,7 +20,7 @@ mod tests;
 pub use left::Left;
 pub use tangent::{Score, Tangent};
 
-use driven::Innovations;
+use driven::{Innovations, zero_of_table_m_s2};
 use jumps::{Sampled, beside_jumps};
 use slow::Slow;
 
@@ -64,8 +64,6 @@ const HUBER: f64 = 6.0;
 /// A change of a residual by less than this, in units of the noise, within the small difference of a slope is no jump that went
 /// over a sample.
 const OVER: f64 = 1.0;
-/// The least deviation of the zero of the table's acceleration.
-const LEAST_ZERO_M_S2: f64 = 1e-6;
 /// Steps that one core simulates before it takes others.
 const TOGETHER: usize = 4;
 
@@ -102,7 +100,8 @@ pub type Nuisances = Vec<f64>;
 /// A model laid against the steps of a part.
 #[derive(Clone, Debug)]
 pub struct Laid {
-    /// Model's numbers, then of each record zero (m), leak, lag (s), gains of the displacement sensor and of the accelerometers less 1, zero of the table (m/s2).
+    /// Model's numbers, then of each record zero (m), leak, lag (s), gains of the displacement sensor and of the accelerometers less 1,
+    /// zero of the table (m/s2).
     pub values: Vec<f64>,
     nuisances: Vec<Nuisances>,
     /// Twice the negative logarithm of the likelihood but for a constant: squares in units of the noise, in steps far from
@@ -521,20 +520,6 @@ impl<'a> Measured<'a> {
         let hidden = !spec.effects.iter().all(stateless);
         Some(Specimens { each: sources.iter().map(build).collect::<Option<_>>()?, hidden, remembers, kicks })
     }
-}
-
-/// Deviation of the zero of the table's acceleration, its mean over a record: without a displacement of the table nothing says that it
-/// ends as fast as it began. How fast either may be goes with the acceleration in the first and last cycle.
-fn zero_of_table_m_s2(motion: &Motion) -> f64 {
-    if !motion.windows.iter().any(|window| window.random) || motion.table_crossover_rad_s > 0.0 {
-        return LEAST_ZERO_M_S2;
-    }
-    let (drive, frequency_hz) = (&motion.drive_m_s2, motion.median_frequency_hz());
-    let cycle = ((motion.sample_rate_hz / frequency_hz) as usize).clamp(1, drive.len());
-    let rms = |a: &[f64]| (dot(a, a) / a.len() as f64).sqrt();
-    let ends = rms(&drive[..cycle]).hypot(rms(&drive[drive.len() - cycle..]));
-    let speed_m_s = ends / (std::f64::consts::TAU * frequency_hz);
-    (speed_m_s / (drive.len() as f64 * motion.dt_s())).max(LEAST_ZERO_M_S2)
 }
 
 /// Rise of a simulated sample to the next, by central differences, a sample.
