@@ -29,10 +29,9 @@ pub struct Recipe {
 }
 
 /// How the table of a record moves.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shaking {
     /// Steps of a sine, up and down again.
-    #[default]
     Sweep,
     /// Noise from below the isolator's frequency to the bumpers', which swells and ebbs as an earthquake does.
     Noise,

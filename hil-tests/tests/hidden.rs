@@ -9,10 +9,13 @@ use shaketable::record::Record;
 use shaketable::record::data::ReadOptions;
 use std::path::Path;
 
+/// A sweep of an ordinary specimen, with the sensors' ordinary noise.
+fn recipe(seed: u64, effects: &[&'static str], size: f64) -> Recipe {
+    Recipe { seed, effects: effects.to_vec(), foreign: None, size, noise: 1.0, shaking: Shaking::Sweep }
+}
+
 fn case(seed: u64, effects: &[&'static str], size: f64) -> Diagnosis {
-    let recipe =
-        Recipe { seed, effects: effects.to_vec(), foreign: None, size, noise: 1.0, shaking: Shaking::Sweep };
-    let case = hidden::make(&recipe).expect("the effect reaches its size");
+    let case = hidden::make(&recipe(seed, effects, size)).expect("the effect reaches its size");
     diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record")
 }
 
@@ -48,15 +51,8 @@ fn a_late_laser_is_an_instrument_and_no_physics() {
 
 #[test]
 fn records_of_two_gaps_are_diagnosed_together() {
-    let recipe = Recipe {
-        seed: 5_000_302,
-        effects: vec!["hunt-crossley-damping"],
-        foreign: None,
-        size: 0.08,
-        noise: 1.0,
-        shaking: Shaking::Sweep,
-    };
-    let first = hidden::make(&recipe).expect("the effect reaches its size");
+    let first = hidden::make(&recipe(5_000_302, &["hunt-crossley-damping"], 0.08))
+        .expect("the effect reaches its size");
     let second = hidden::again(&first, 0.004, 5_000_303).expect("a response");
     let tests = [(&first.record, &first.nominal), (&second.record, &second.nominal)];
     let found = diagnose_together(&tests, &Options::default()).expect("records that belong together");
@@ -74,15 +70,7 @@ type Fault = fn(&mut Record);
 
 #[test]
 fn what_is_wrong_with_a_record_is_named_before_any_physics() {
-    let recipe = Recipe {
-        seed: 5_000_401,
-        effects: vec![],
-        foreign: None,
-        size: 0.05,
-        noise: 1.0,
-        shaking: Shaking::Sweep,
-    };
-    let case = hidden::make(&recipe).expect("nothing to reach");
+    let case = hidden::make(&recipe(5_000_401, &[], 0.05)).expect("nothing to reach");
     let faults: [(&str, Fault); 5] = [
         ("cycles of the input", |r| {
             r.step.truncate(2000);
@@ -112,14 +100,7 @@ fn what_is_wrong_with_a_record_is_named_before_any_physics() {
 #[test]
 fn a_force_that_no_effect_explains_is_outside_the_catalogue() {
     // A ripple over the displacement.
-    let recipe = Recipe {
-        seed: 5_000_201,
-        effects: vec![],
-        foreign: Some(0),
-        size: 0.12,
-        noise: 1.0,
-        shaking: Shaking::Sweep,
-    };
+    let recipe = Recipe { foreign: Some(0), ..recipe(5_000_201, &[], 0.12) };
     let case = hidden::make(&recipe).expect("the force reaches its size");
     let found = diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record");
     assert_eq!(found.verdict, Verdict::OutsideCatalogue, "{:?}", found.effects);
@@ -129,8 +110,8 @@ fn a_force_that_no_effect_explains_is_outside_the_catalogue() {
 
 #[test]
 fn a_record_driven_by_noise_is_judged_as_one_of_steps_is() {
-    let of = |seed: u64, effects: Vec<&'static str>| {
-        let recipe = Recipe { seed, effects, foreign: None, size: 0.05, noise: 1.0, shaking: Shaking::Noise };
+    let of = |seed: u64, effects: &[&'static str]| {
+        let recipe = Recipe { shaking: Shaking::Noise, ..recipe(seed, effects, 0.05) };
         let case = hidden::make(&recipe).expect("the effect reaches its size");
         let mut record = case.record.clone();
         // Without a displacement of the table, as most records of earthquakes are.
@@ -139,9 +120,9 @@ fn a_record_driven_by_noise_is_judged_as_one_of_steps_is() {
         assert!(found.error_after < 1.05 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
         (found, case.truth)
     };
-    let (healthy, _) = of(5_000_601, vec![]);
+    let (healthy, _) = of(5_000_601, &[]);
     assert_eq!(healthy.verdict, Verdict::Adequate, "{:?}", healthy.effects);
-    let (found, truth) = of(5_000_602, vec!["quadratic-damping"]);
+    let (found, truth) = of(5_000_602, &["quadratic-damping"]);
     assert_eq!(
         found.effects.first().map(|e| e.name.as_str()),
         Some("quadratic-damping"),
@@ -167,15 +148,8 @@ fn a_gain_is_told_by_the_response_where_the_kinematics_leave_it_open() {
     let found = case(5_000_603, &["laser-gain"], 0.05);
     let gain = &found.effects.first().filter(|e| e.name == "laser-gain").expect("named").parameters["gain"];
     assert!(gain.high95 - gain.low95 < 2e-3, "{gain:?}");
-    let recipe = Recipe {
-        seed: 5_000_603,
-        effects: vec!["laser-gain"],
-        foreign: None,
-        size: 0.05,
-        noise: 1.0,
-        shaking: Shaking::Sweep,
-    };
-    let meant = hidden::make(&recipe).expect("made").truth.effects[0].parameters["gain"];
+    let meant = hidden::make(&recipe(5_000_603, &["laser-gain"], 0.05)).expect("made").truth.effects[0]
+        .parameters["gain"];
     assert!((gain.value - meant).abs() < gain.high95 - gain.low95, "{gain:?} {meant}");
 }
 
@@ -237,10 +211,8 @@ fn the_measured_damper_shows_memory_then_play() {
 
 #[test]
 fn an_effect_taken_out_of_the_catalogue_is_outside_it() {
-    let effects = vec!["stiffness-degradation"];
-    let recipe =
-        Recipe { seed: 5_000_507, effects, foreign: None, size: 0.08, noise: 1.0, shaking: Shaking::Sweep };
-    let case = hidden::make(&recipe).expect("the effect reaches its size");
+    let case = hidden::make(&recipe(5_000_507, &["stiffness-degradation"], 0.08))
+        .expect("the effect reaches its size");
     let without = hidden::with_twin("stiffness-degradation");
     let options = Options { without: without.clone(), ..Options::default() };
     let found = diagnose_together(&[(&case.record, &case.nominal)], &options).expect("a base record");

@@ -202,11 +202,12 @@ fn instrument(
         }
         *estimate = gain.into();
     }
-    // Where the model follows the record, its response tells a gain better.
-    let searcher = Searcher::new(motion, nominal, Effort::default());
-    let base = searcher.base(nominal);
-    let gains = base.map_or(Vec::new(), |base| searcher.gains(&base));
-    gains.first().copied().into_iter().for_each(|gains| finding.sharpen(gains));
+    if finding.is_gain() {
+        let searcher = Searcher::new(motion, nominal, Effort::default());
+        let base = searcher.base(nominal);
+        let gains = base.map_or(Vec::new(), |base| searcher.gains(&base));
+        gains.first().copied().into_iter().for_each(|gains| finding.sharpen(gains));
+    }
     let (mut model, mut effect) = (nominal.clone(), given.clone());
     let index = model.effects.len();
     let mut parameters = Vec::with_capacity(finding.parameters.len());

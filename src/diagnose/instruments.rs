@@ -34,6 +34,11 @@ impl From<Estimate> for Estimate95 {
 }
 
 impl Finding {
+    /// It is a gain, which the response of a model that follows the record tells better than the kinematics do.
+    pub fn is_gain(&self) -> bool {
+        matches!(self.name.as_str(), "laser-gain" | "accelerometer-gain")
+    }
+
     /// Takes up what the response of a model that follows the record says of its gains, factors: of the displacement sensor and of the
     /// accelerometers.
     pub fn sharpen(&mut self, [laser, accelerometers]: [Estimate; 2]) {
