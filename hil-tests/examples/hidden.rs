@@ -131,7 +131,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             }
         }
         println!(
-            "{seed}\t{}\t{}\t{}\t[{}]\t~[{}]\tbefore {:.4} refit {:.4} after {:.4} floor {:.4} left {:.3}\t{:.1} s\t{}",
+            "{seed}\t{}\t{}\t{}\t[{}]\t~[{}]\tbefore {:.4} refit {:.4} after {:.4} floor {:.4} left {:.3} structure {:.4}\t{:.1} s\t{}",
             if right {
                 "ok"
             } else if second {
@@ -148,6 +148,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             found.error_after,
             found.noise_floor,
             found.share_left,
+            found.structure_left.unwrap_or(f64::NAN),
             found.wall_s,
             case.nominal.bumper.as_ref().map_or("none".into(), |b| format!(
                 "{:.0}/{:.0} mm",
@@ -224,12 +225,10 @@ fn tell(case: &Hidden, effects: &[&'static str]) {
     exactly.iter().chain(&itself).for_each(line);
     line(base);
     search.stages.iter().flat_map(|stage| &stage.finalists).for_each(line);
-    println!(
-        "\t\t  shapes: {:?}",
-        searcher.shaped(base, search.best(), Thresholds::default().of_shape(search.best()))
-    );
+    println!("\t\t  shapes: {:?}", searcher.shaped(base, search.best(), Thresholds::default()));
     for trial in [base, search.best()] {
-        let shape = searcher.shape_left(trial).map(|shape| (shape.expression, shape.nats));
+        let shape =
+            searcher.shape_left(trial, Thresholds::default()).map(|shape| (shape.expression, shape.nats));
         println!("\t\t  beside {:?}: {shape:?}", trial.names);
     }
 }

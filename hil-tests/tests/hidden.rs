@@ -153,6 +153,14 @@ fn a_gain_is_told_by_the_response_where_the_kinematics_leave_it_open() {
     assert!((gain.value - meant).abs() < gain.high95 - gain.low95, "{gain:?} {meant}");
 }
 
+#[test]
+fn the_noise_of_a_scaled_accelerometer_is_scaled_with_it() {
+    let found = case(9_610_016, &["accelerometer-gain"], 0.12);
+    let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+    assert_eq!((found.verdict, names), (Verdict::Missing, vec!["accelerometer-gain"]));
+    assert!(found.error_after < 1.02 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+}
+
 /// A component with nothing promised of it, as the book has it.
 const DAMPER: &str = r#"
 name = "damper"

@@ -2,7 +2,6 @@
 
 use super::reading::ReadArgs;
 use super::{CliError, Outcome};
-use crate::diagnose::engine::{noise_floor, nrmse};
 use crate::diagnose::out_there::out_there;
 use crate::diagnose::search::{Effort, Searcher};
 use crate::identify::kinematics::Tolerances;
@@ -45,9 +44,9 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let trial = out_there(&record, &nominal, trial);
     let problem = searcher.problem();
     let held_out = |spec, zero| problem.output_error(spec, zero, Part::HeldOut);
-    let before = held_out(&nominal, 0.0).map(|e| nrmse(&e));
+    let before = held_out(&nominal, 0.0).map(|e| e.nrmse());
     let after = held_out(&trial.refit.spec, trial.refit.zero_m);
-    let floor = after.map(|e| noise_floor(&motion, &e));
+    let floor = after.map(|e| e.noise_floor(&motion));
     let rows: Vec<(String, f64, f64, f64, f64)> = trial
         .refit
         .numbers
@@ -75,7 +74,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         let out = serde_json::json!({
             "parameters": parameters,
             "error_before": before,
-            "error_after": after.map(|e| nrmse(&e)),
+            "error_after": after.map(|e| e.nrmse()),
             "noise_floor": floor,
             "model": trial.refit.spec,
         });
@@ -87,7 +86,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         println!(
             "held-out error {:.3} % -> {:.3} %, noise floor {:.3} %",
             100.0 * before.unwrap_or(f64::NAN),
-            100.0 * after.map_or(f64::NAN, |e| nrmse(&e)),
+            100.0 * after.map_or(f64::NAN, |e| e.nrmse()),
             100.0 * floor.unwrap_or(f64::NAN)
         );
     }

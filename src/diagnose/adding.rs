@@ -2,7 +2,6 @@
 //! the model's own numbers are fitted with it, since an effect beside numbers that are off takes their
 //! errors over.
 
-use super::engine::{noise_floor, nrmse};
 use super::out_there::out_there;
 use super::search::{Effort, Searcher};
 use super::trial::{self, Trial};
@@ -116,10 +115,10 @@ pub fn add(
     let (refit, after) = (&trial.refit, held_out(&trial.refit.spec, trial.refit.zero_m));
     Ok(Added {
         parameters: parameters(refit, nominal, given),
-        error_before: held_out(nominal, 0.0).map(|e| nrmse(&e)),
-        error_reidentified: held_out(&base.refit.spec, base.refit.zero_m).map(|e| nrmse(&e)),
-        error_after: after.map(|e| nrmse(&e)),
-        noise_floor: after.map(|e| noise_floor(&motion, &e)),
+        error_before: held_out(nominal, 0.0).map(|e| e.nrmse()),
+        error_reidentified: held_out(&base.refit.spec, base.refit.zero_m).map(|e| e.nrmse()),
+        error_after: after.map(|e| e.nrmse()),
+        noise_floor: after.map(|e| e.noise_floor(&motion)),
         model: refit.spec.clone(),
     })
 }

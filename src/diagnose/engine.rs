@@ -5,8 +5,7 @@ use super::missing_force;
 use super::next_test::{self, Reach};
 use super::report::{Diagnosis, NamedEffect, ParameterEstimate, Reidentified, Rung, StepErrors};
 use super::search::{Effort, Search, Searcher};
-use super::structure;
-use super::trial::{self, Trial};
+use super::trial::{self, Response, Trial};
 use super::verdict::{self, Decision, Refused, Thresholds, Verdict};
 use crate::identify::kinematics::Tolerances;
 use crate::identify::motion::{Motion, MotionError};
@@ -63,26 +62,6 @@ pub enum DiagnoseError {
     },
 }
 
-/// NRMSE that stands in reports: the mean square of A's and D's where both were measured.
-pub fn nrmse(error: &OutputError) -> f64 {
-    if error.power_d > 0.0 {
-        (0.5 * (error.nrmse_a().powi(2) + error.nrmse_d().powi(2))).sqrt()
-    } else {
-        error.nrmse_a()
-    }
-}
-
-/// The same of the instruments' noise alone.
-pub fn noise_floor(motion: &Motion, error: &OutputError) -> f64 {
-    let count = error.count as f64;
-    let noise = OutputError {
-        sum_a: motion.restoring_noise_m_s2.powi(2) * count,
-        sum_d: motion.laser_noise_m.powi(2) * count,
-        ..*error
-    };
-    nrmse(&noise)
-}
-
 /// Diagnoses a record against a model.
 ///
 /// # Errors
@@ -123,9 +102,7 @@ pub fn diagnose_together(
     let searcher = Searcher::new(&motion, nominal, options.effort).without(&options.without);
     let diverges = || DiagnoseError::Diverges { name: nominal.name.clone() };
     let search = searcher.search(nominal, options.thresholds).ok_or_else(diverges)?;
-    let structure = |trial: &Trial| structure::examine(searcher.problem(), &trial.refit).unwrap_or_default();
-    let shaped = |taken: &Trial| searcher.shaped(&search.base, taken, options.thresholds.of_shape(taken));
-    let mut decision = verdict::decide(&search, structure, shaped, options.thresholds);
+    let mut decision = verdict::decide(&search, &searcher, options.thresholds);
     decision.chosen = searcher.bounded(decision.chosen);
     let gains = searcher.gains(&decision.chosen);
     for (i, finding) in &mut findings {
@@ -190,7 +167,7 @@ impl Composer<'_> {
         };
         let rung = |model: &str, p: &Problem<'_>, errors: Option<&[(usize, OutputError)]>| {
             let error =
-                |part| errors.and_then(|errors| p.sum(errors, part)).map_or(f64::INFINITY, |e| nrmse(&e));
+                |part| errors.and_then(|errors| p.sum(errors, part)).map_or(f64::INFINITY, |e| e.nrmse());
             Rung { model: model.to_owned(), training: error(Part::Training), held_out: error(Part::HeldOut) }
         };
         let given = before_problem.output_errors(self.nominal, 0.0, Part::All);
@@ -231,8 +208,8 @@ impl Composer<'_> {
             refused,
             error_before: ladder[0].held_out,
             error_reidentified: ladder[1].held_out,
-            error_after: nrmse(&after),
-            noise_floor: noise_floor(self.motion, &after),
+            error_after: after.nrmse(),
+            noise_floor: after.noise_floor(self.motion),
             next_test: if verdict == Verdict::Ambiguous { self.next_test(search, &decision) } else { None },
             ambiguous_with: decision.ambiguous_with,
             missing_force: missing_force::map(problem, &search.base.refit, Part::All),
@@ -242,6 +219,7 @@ impl Composer<'_> {
             not_identifiable: self.not_identifiable(&chosen.refit),
             notes: self.notes(findings, notes),
             share_left: left,
+            structure_left: chosen.response.as_ref().map(Response::excess),
             wall_s: 0.0,
         })
     }
@@ -284,7 +262,7 @@ impl Composer<'_> {
                 name: name.clone(),
                 probability,
                 parameters,
-                error_after: partial.map(|e| nrmse(&e)),
+                error_after: partial.map(|e| e.nrmse()),
             });
         }
         out
@@ -360,8 +338,8 @@ impl Composer<'_> {
                 step: window.step,
                 frequency_hz: window.frequency_hz,
                 held_out: window.held_out,
-                reidentified: nrmse(without),
-                after: nrmse(with),
+                reidentified: without.nrmse(),
+                after: with.nrmse(),
             }
         };
         without.iter().zip(with).map(step).collect()

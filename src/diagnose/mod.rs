@@ -6,6 +6,7 @@ mod by_response;
 pub mod candidates;
 pub mod discrimination;
 pub mod engine;
+mod errors;
 pub mod instruments;
 pub mod live;
 pub mod missing_force;

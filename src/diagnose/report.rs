@@ -109,6 +109,9 @@ pub struct Diagnosis {
     pub notes: Vec<String>,
     /// Share of the excess over the noise that is left.
     pub share_left: f64,
+    /// Covariance of neighbouring residuals of the simulated response, in units of the noise, which has none; nothing where the
+    /// response does not decide.
+    pub structure_left: Option<f64>,
     /// Wall time, s.
     pub wall_s: f64,
 }

@@ -4,10 +4,9 @@ use super::by_response::first_of_each;
 use super::candidates;
 use super::trial::{self, Trial};
 use super::verdict::{self, Thresholds};
-use crate::identify::kinematics::Estimate;
 use crate::identify::least_squares::Settings;
 use crate::identify::motion::Motion;
-use crate::identify::problem::{NARROW, OutputError, Part, Problem, WIDE};
+use crate::identify::problem::{NARROW, Part, Problem, WIDE};
 use crate::identify::refit::{Domain, Refit};
 use crate::identify::response::Measured;
 use crate::model::effects::{self, Effect};
@@ -81,7 +80,7 @@ pub struct Searcher<'a> {
     pub(super) motion: &'a Motion,
     pub(super) effort: Effort,
     screening: Problem<'a>,
-    fitting: Problem<'a>,
+    pub(super) fitting: Problem<'a>,
     /// The nominal model fitted by force.
     pub(super) fitted: Option<Refit>,
     stride: usize,
@@ -138,30 +137,6 @@ impl<'a> Searcher<'a> {
     /// The problem with the finer thinning.
     pub fn problem(&self) -> &Problem<'a> {
         &self.fitting
-    }
-
-    /// Errors of the simulated response step by step, each with the number of its window: with what belongs to each step estimated
-    /// where the response was fitted, else from the measured start.
-    pub fn errors(&self, trial: &Trial) -> Option<Vec<(usize, OutputError)>> {
-        let (spec, problem) = (&trial.refit.spec, &self.fitting);
-        let (Some(measured), Some(response)) = (&self.measured, &trial.response) else {
-            return problem.output_errors(spec, trial.refit.zero_m, Part::All);
-        };
-        let mut errors = measured.errors(spec, Part::Training, &response.training)?;
-        errors.extend(measured.errors(spec, Part::HeldOut, &response.held_out)?);
-        // Of long records the response is laid against a part of the steps.
-        if errors.len() < self.motion.windows.len() {
-            let all = problem.output_errors(spec, trial.refit.zero_m, Part::All)?;
-            let rest = all.into_iter().filter(|(k, _)| errors.iter().all(|(known, _)| known != k));
-            errors.extend(rest.collect::<Vec<_>>());
-        }
-        errors.sort_by_key(|(k, _)| *k);
-        Some(errors)
-    }
-
-    /// What a model's response says of each record's gains; nothing where it does not follow them.
-    pub fn gains(&self, trial: &Trial) -> Vec<[Estimate; 2]> {
-        self.measured.as_ref().map_or(Vec::new(), |measured| trial.gains(measured))
     }
 
     /// Every so many samples count in the output domain.

@@ -6,6 +6,7 @@
 use super::by_response::to_first_order;
 use super::search::Searcher;
 use super::trial::{self, Trial};
+use super::verdict::Thresholds;
 use super::{candidates, verdict};
 use crate::identify::least_squares::Settings;
 use crate::model::{EffectSpec, ModelSpec, Scales};
@@ -14,10 +15,13 @@ use crate::parallel;
 /// The shape of a force that would bring most.
 #[derive(Clone, Debug)]
 pub struct Shape {
-    /// As an expression, lengths over `dm` (m), velocities over `vm` (m/s), times over `tm` (s), an amplitude `f` (N).
+    /// As an expression, lengths over `dm` (m), penetrations over `pm` (m), velocities over `vm` (m/s), times over `tm` (s), an
+    /// amplitude `f` (N).
     pub expression: &'static str,
-    /// Nats of log-likelihood on the steps of the fit, to first order.
+    /// Nats of log-likelihood on the steps of the fit, to first order, less what a force of the bumpers may be wrong by.
     pub nats: f64,
+    /// Nats that it may be wrong by.
+    doubt: f64,
     /// The model with it, everything moved as first order has it.
     with: ModelSpec,
 }
@@ -45,8 +49,8 @@ const LONG: Settings = Settings { iterations: 6, ..SHORT };
 const TYPICAL: f64 = 3.0;
 
 /// Even and odd powers of displacement and velocity and their products, waves over displacement, forces of one side, friction in
-/// places, and slow changes.
-const SHAPES: [&str; 20] = [
+/// places, slow changes, and forces over a bumper's penetration.
+const SHAPES: [&str; 24] = [
     "f*(d/dm)^2",
     "f*(d/dm)*abs(d/dm)",
     "f*(d/dm)^5",
@@ -67,55 +71,65 @@ const SHAPES: [&str; 20] = [
     "f*tanh(20*v/vm)*exp(0-(4*d/dm)^2)",
     "f*(d/dm)*sin(6.283185307179586*t/tm)",
     "f*(v/vm)*sin(6.283185307179586*t/tm)",
+    "f*(p_r-p_l)*(p_r+p_l)/pm^2",
+    "f*(p_r+p_l)/pm*(v/vm)",
+    "f*(p_r+p_l)/pm",
+    "f*tanh(20*(p_r-p_l)/pm)",
 ];
 
 impl Searcher<'_> {
-    /// What shapes bring beside the trial that was taken and in its place; one of up to `enough` nats
-    /// beside it is not worth a fit.
-    pub fn shaped(&self, base: &Trial, taken: &Trial, enough: f64) -> Shaped {
-        let beside = self.shape_left(taken).map_or(0.0, |shape| match shape.nats {
+    /// What shapes bring beside the trial that was taken and in its place; one that brings too little beside it is not worth a fit.
+    pub fn shaped(&self, base: &Trial, taken: &Trial, thresholds: Thresholds) -> Shaped {
+        let enough = thresholds.of_shape(taken);
+        let beside = self.shape_left(taken, thresholds).map_or(0.0, |shape| match shape.nats {
             nats if nats > enough => self.fitted(taken, shape).unwrap_or(0.0),
             nats => nats,
         });
-        let instead = if taken.names.is_empty() { None } else { self.shape_instead(base, taken) };
+        let instead = if taken.names.is_empty() { None } else { self.shape_instead(base, taken, thresholds) };
         Shaped { beside, instead: instead.unwrap_or(f64::NEG_INFINITY) }
     }
 
     /// What a shape beside a trial brings to the steps of the fit when it is fitted, nothing where those held out speak against it.
     fn fitted(&self, taken: &Trial, shape: Shape) -> Option<f64> {
+        let doubt = shape.doubt;
         let fitted =
             trial::respond(self.measured.as_ref()?, &self.with_shape(taken, shape.with), None, LONG)?;
-        (verdict::gain(&fitted, taken) > 0.0).then(|| fitted.training_gain(taken))
+        (verdict::gain(&fitted, taken) > 0.0).then(|| fitted.training_gain(taken) - doubt)
     }
 
     /// The shape that brings most beside a trial; none where the simulated response does not decide.
-    pub fn shape_left(&self, trial: &Trial) -> Option<Shape> {
+    pub fn shape_left(&self, trial: &Trial, thresholds: Thresholds) -> Option<Shape> {
         let (measured, response) = (self.measured.as_ref()?, trial.response.as_ref()?);
         let tangent = measured.tangent(&trial.refit.spec, &trial.refit.numbers, &response.training)?;
         let scales = candidates::scales(&trial.refit.spec, self.motion);
         let with = |start: &EffectSpec| candidates::beside(&trial.refit.spec, start);
-        let scored = parallel::map(&SHAPES, parallel::cores(), |expression| {
+        let of_bumper = |expression: &str| expression.contains("pm");
+        let shapes: Vec<&'static str> =
+            SHAPES.into_iter().filter(|s| !of_bumper(s) || scales.penetration_m.is_some()).collect();
+        let scored = parallel::map(&shapes, parallel::cores(), |expression| {
             let (spec, score) = to_first_order(&tangent, faint(expression, &scales), with, grown)?;
             let grown = with(&grown(&spec, score.scale)?);
             let with = trial.refit.numbers.moved(grown, &score.followed, score.scale)?;
-            Some(Shape { expression, nats: score.nats, with })
+            let doubt = if of_bumper(expression) { thresholds.doubt(response) } else { 0.0 };
+            Some(Shape { expression, nats: score.nats - doubt, doubt, with })
         });
         scored.into_iter().flatten().max_by(|a, b| a.nats.total_cmp(&b.nats))
     }
 
     /// How much better the best shape does on the base model than the effects that were taken.
-    fn shape_instead(&self, base: &Trial, taken: &Trial) -> Option<f64> {
-        let (measured, shape) = (self.measured.as_ref()?, self.shape_left(base)?);
+    fn shape_instead(&self, base: &Trial, taken: &Trial, thresholds: Thresholds) -> Option<f64> {
+        let (measured, shape) = (self.measured.as_ref()?, self.shape_left(base, thresholds)?);
+        let doubt = shape.doubt;
         if shape.nats < WORTH * taken.training_gain(base) {
             return None;
         }
         let fitted = trial::respond(measured, &self.with_shape(base, shape.with), None, SHORT)?;
-        let ahead = verdict::apart(&fitted, taken);
+        let ahead = verdict::apart(&fitted, taken) - doubt;
         if ahead < -BEHIND {
             return Some(ahead);
         }
         let laid = fitted.response.as_ref().map(|response| &response.training);
-        Some(verdict::apart(&trial::respond(measured, &fitted, laid, LONG)?, taken))
+        Some(verdict::apart(&trial::respond(measured, &fitted, laid, LONG)?, taken) - doubt)
     }
 
     /// A trial with a shape beside it, whose amplitude is to be fitted along with the trial's own numbers.
@@ -150,7 +164,8 @@ fn faint(expression: &'static str, scales: &Scales) -> EffectSpec {
         ("vm", scales.velocity_m_s),
         ("tm", scales.duration_s),
     ];
-    let used = all.into_iter().filter(|(name, _)| expression.contains(name));
+    let of_bumper = scales.penetration_m.map(|penetration_m| ("pm", penetration_m));
+    let used = all.into_iter().chain(of_bumper).filter(|(name, _)| expression.contains(name));
     EffectSpec {
         name: "expression".into(),
         expression: Some(expression.into()),

@@ -170,6 +170,12 @@ impl Trial {
         })
     }
 
+    /// Standard deviation of the excess of a response that leaves nothing but white noise.
+    pub fn chance(&self) -> f64 {
+        let count = self.response.as_ref().map_or(0, |r| r.training.count + r.held_out.count);
+        (count.max(1) as f64).sqrt().recip()
+    }
+
     /// Whether its simulated response is too far off for first order.
     pub fn is_far(&self) -> bool {
         self.response.as_ref().is_some_and(|r| r.left[0].median > FAR || r.excess() > STRUCTURED)

@@ -1,10 +1,9 @@
 //! From a search to one of the four verdicts.
 
 use super::candidates::contained_in;
-use super::search::Search;
-use super::shapes::Shaped;
-use super::structure::Structure;
-use super::trial::{Trial, schwarz_nats};
+use super::search::{Search, Searcher};
+use super::structure;
+use super::trial::{Response, Trial, schwarz_nats};
 use crate::model::effects::{self, Place};
 use serde::Serialize;
 
@@ -50,6 +49,12 @@ pub struct Thresholds {
     pub shape: [f64; 2],
     /// Covariance of neighbouring residuals of the response, in units of the noise, that is structure.
     pub structure: f64,
+    /// The same beside an explanation, in standard deviations that chance gives it, and the share of the base model's that it then
+    /// is: what explains all but a faint share stands.
+    pub beside: [f64; 2],
+    /// Error of the simulated response of held-out steps over the noise's that a complete explanation does not have, steps beside
+    /// which a stiff contact leads elsewhere included.
+    pub over_noise: f64,
     /// Nats for every residual that an effect of the bumpers must bring beyond that where impacts kick the table: what drives a
     /// simulation then is not known better beside a contact.
     pub kicked: f64,
@@ -70,6 +75,8 @@ impl Default for Thresholds {
             shape: [20.0, 60.0],
             kicked: 5e-4,
             structure: 0.03,
+            beside: [3.0, 0.02],
+            over_noise: 1.05,
             tie: 6.0,
             left: 0.2,
             excess: 0.02,
@@ -83,15 +90,19 @@ impl Thresholds {
         self.shape[usize::from(!taken.names.is_empty())]
     }
 
+    /// Nats that what a force of the bumpers brings may be wrong by.
+    pub fn doubt(self, response: &Response) -> f64 {
+        let count = (response.training.count + response.held_out.count) as f64;
+        self.kicked * response.kicked * count
+    }
+
     /// What a trial has to bring on each part of the steps and together.
     fn asked(self, trial: &Trial, from: &Trial) -> [f64; 2] {
         let Some(response) = &trial.response else { return self.gain };
         let [each, together] = if from.names.is_empty() { self.response } else { self.further };
         let of_bumpers = effects::find(&last_name(trial))
             .is_ok_and(|effect| matches!(effect.place, Place::Bumper | Place::Stand));
-        let count = (response.training.count + response.held_out.count) as f64;
-        let doubt = if of_bumpers { self.kicked * response.kicked * count } else { 0.0 };
-        [each, together + doubt]
+        [each, together + if of_bumpers { self.doubt(response) } else { 0.0 }]
     }
 }
 
@@ -159,13 +170,8 @@ fn evidence(trial: &Trial, from: &Trial) -> f64 {
 const STRUCTURED: f64 = 0.2;
 const UNMISTAKABLE: f64 = 0.5;
 
-/// Decides; `structure` examines what a trial leaves of the force, `shaped` what forces of some shape would bring.
-pub fn decide(
-    search: &Search,
-    structure: impl Fn(&Trial) -> Structure,
-    shaped: impl Fn(&Trial) -> Shaped,
-    thresholds: Thresholds,
-) -> Decision {
+/// Decides; the searcher examines what a trial leaves.
+pub fn decide(search: &Search, searcher: &Searcher<'_>, thresholds: Thresholds) -> Decision {
     let base = &search.base;
     let mut taken = base.clone();
     let mut refused = Vec::new();
@@ -198,6 +204,7 @@ pub fn decide(
         ambiguous_with = rivals;
     }
     let excess = taken.excess();
+    let structure = |trial: &Trial| structure::examine(searcher.problem(), &trial.refit).unwrap_or_default();
     let of_base = structure(base).explained;
     // Where the flexible model sees most of what the base lacks, what it still sees is what is left. Where it does not,
     // the covariance of neighbouring residuals has to do.
@@ -205,7 +212,7 @@ pub fn decide(
     let share = taken.share_left(base);
     let left = if seen { share.min(structure(&taken).explained / of_base.max(1e-300)) } else { share };
     let verdict = if taken.response.is_some() {
-        by_response(&taken, shaped, &ambiguous_with, thresholds)
+        by_response(&taken, base, searcher, &ambiguous_with, thresholds)
     } else if taken.names.is_empty() {
         // Nothing in the catalogue helps; is anything left at all?
         let structured = of_base > STRUCTURED * excess || excess > UNMISTAKABLE;
@@ -226,16 +233,21 @@ const OF_MANY: f64 = 4.0;
 /// The verdict where the simulated response decides.
 fn by_response(
     taken: &Trial,
-    shaped: impl Fn(&Trial) -> Shaped,
+    base: &Trial,
+    searcher: &Searcher<'_>,
     ambiguous_with: &[String],
     thresholds: Thresholds,
 ) -> Verdict {
+    let [deviations, share] = thresholds.beside;
+    let beyond_chance = taken.excess() > deviations * taken.chance() && taken.share_left(base) > share;
+    let told_by_structure = taken.excess() > thresholds.structure || !taken.names.is_empty() && beyond_chance;
+    let told_by_error = || searcher.over_noise(taken).is_some_and(|times| times > thresholds.over_noise);
     // Shapes are asked only where the residuals themselves do not tell.
     let told_by_shape = || {
-        let shaped = shaped(taken);
+        let shaped = searcher.shaped(base, taken, thresholds);
         shaped.beside > thresholds.of_shape(taken) || shaped.instead > thresholds.tie + OF_MANY
     };
-    if taken.excess() > thresholds.structure || told_by_shape() {
+    if told_by_structure || told_by_error() || told_by_shape() {
         Verdict::OutsideCatalogue
     } else if taken.names.is_empty() {
         Verdict::Adequate

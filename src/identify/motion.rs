@@ -264,10 +264,12 @@ fn base(record: &Record, found: Option<Instruments>) -> Result<Motion, MotionErr
     for x in &mut laser {
         *x /= i.laser_gain.value;
     }
-    let noise_mass = 0.5 * a1.noise_m_s2.hypot(a2.noise_m_s2);
+    // A channel's noise is scaled along with it.
+    let noise_mass = 0.5 * (a1.noise_m_s2 / a1.gain.value).hypot(a2.noise_m_s2 / a2.gain.value);
+    let laser_noise_m = (i.laser_noise_m / i.laser_gain.value).abs();
     let both = Table::of(record, i.table_noise_m_s2);
     let relative: Vec<f64> = mass.iter().zip(&both.acceleration_m_s2).map(|(a, t)| a - t).collect();
-    let fused = fuse(&laser, i.laser_noise_m, &relative, noise_mass.hypot(i.table_noise_m_s2), rate);
+    let fused = fuse(&laser, laser_noise_m, &relative, noise_mass.hypot(i.table_noise_m_s2), rate);
     Ok(Motion {
         restoring_m_s2: mass.iter().map(|a| -a).collect(),
         drive_m_s2: both.acceleration_m_s2,
@@ -275,7 +277,7 @@ fn base(record: &Record, found: Option<Instruments>) -> Result<Motion, MotionErr
         table_gain_sigma: both.gain_sigma,
         laser_m: laser,
         restoring_noise_m_s2: noise_mass,
-        laser_noise_m: i.laser_noise_m,
+        laser_noise_m,
         instruments: found,
         ..fused.motion(record)
     })

@@ -1,5 +1,7 @@
 //! Errors of a response in its own units, summed over samples.
 
+use super::motion::Motion;
+
 /// Noise-weighted errors of a simulated response.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct OutputError {
@@ -40,5 +42,25 @@ impl OutputError {
     /// Normalised RMS error of D.
     pub fn nrmse_d(&self) -> f64 {
         (self.sum_d / self.power_d.max(1e-300)).sqrt()
+    }
+
+    /// NRMSE that stands in reports: the mean square of A's and D's where both were measured.
+    pub fn nrmse(&self) -> f64 {
+        if self.power_d > 0.0 {
+            (0.5 * (self.nrmse_a().powi(2) + self.nrmse_d().powi(2))).sqrt()
+        } else {
+            self.nrmse_a()
+        }
+    }
+
+    /// The same of the instruments' noise alone.
+    pub fn noise_floor(&self, motion: &Motion) -> f64 {
+        let count = self.count as f64;
+        let noise = Self {
+            sum_a: motion.restoring_noise_m_s2.powi(2) * count,
+            sum_d: motion.laser_noise_m.powi(2) * count,
+            ..*self
+        };
+        noise.nrmse()
     }
 }

@@ -1,0 +1,40 @@
+//! What the simulated response of a trial says of the record: errors step by step, over the noise, and gains of its sensors.
+
+use super::search::Searcher;
+use super::trial::Trial;
+use crate::identify::kinematics::Estimate;
+use crate::identify::problem::{OutputError, Part};
+
+impl Searcher<'_> {
+    /// Errors of the simulated response step by step, each with the number of its window: with what belongs to each step estimated
+    /// where the response was fitted, else from the measured start.
+    pub fn errors(&self, trial: &Trial) -> Option<Vec<(usize, OutputError)>> {
+        let (spec, problem) = (&trial.refit.spec, &self.fitting);
+        let (Some(measured), Some(response)) = (&self.measured, &trial.response) else {
+            return problem.output_errors(spec, trial.refit.zero_m, Part::All);
+        };
+        let mut errors = measured.errors(spec, Part::Training, &response.training)?;
+        errors.extend(measured.errors(spec, Part::HeldOut, &response.held_out)?);
+        // Of long records the response is laid against a part of the steps.
+        if errors.len() < self.motion.windows.len() {
+            let all = problem.output_errors(spec, trial.refit.zero_m, Part::All)?;
+            let rest = all.into_iter().filter(|(k, _)| errors.iter().all(|(known, _)| known != k));
+            errors.extend(rest.collect::<Vec<_>>());
+        }
+        errors.sort_by_key(|(k, _)| *k);
+        Some(errors)
+    }
+
+    /// Error of the simulated response of held-out steps over that of the noise alone; nothing where the response does not decide.
+    pub fn over_noise(&self, trial: &Trial) -> Option<f64> {
+        let held_out = &trial.response.as_ref()?.held_out;
+        let errors = self.measured.as_ref()?.errors(&trial.refit.spec, Part::HeldOut, held_out)?;
+        let error = self.fitting.sum(&errors, Part::HeldOut)?;
+        Some(error.nrmse() / error.noise_floor(self.motion))
+    }
+
+    /// What a model's response says of each record's gains; nothing where it does not follow them.
+    pub fn gains(&self, trial: &Trial) -> Vec<[Estimate; 2]> {
+        self.measured.as_ref().map_or(Vec::new(), |measured| trial.gains(measured))
+    }
+}
