@@ -12,7 +12,7 @@ use crate::identify::motion::{Motion, MotionError};
 use crate::identify::problem::{Part, Problem};
 use crate::identify::refit::{Domain, Refit};
 use crate::model::effects::{self, Place};
-use crate::model::{EffectSpec, ModelError, ModelSpec};
+use crate::model::{EffectSpec, ModelError, ModelSpec, Scales};
 use crate::parallel;
 use crate::record::Record;
 use serde::Serialize;
@@ -114,7 +114,7 @@ pub fn add(
     let held_out = |spec: &ModelSpec, zero| problem.output_error(spec, zero, Part::HeldOut);
     let (refit, after) = (&trial.refit, held_out(&trial.refit.spec, trial.refit.zero_m));
     Ok(Added {
-        parameters: parameters(refit, nominal, given),
+        parameters: parameters(refit, nominal, given, &candidates::scales(nominal, &motion)),
         error_before: held_out(nominal, 0.0).map(|e| e.nrmse()),
         error_reidentified: held_out(&base.refit.spec, base.refit.zero_m).map(|e| e.nrmse()),
         error_after: after.map(|e| e.nrmse()),
@@ -163,9 +163,17 @@ fn fitted(
     }
 }
 
-fn parameters(refit: &Refit, nominal: &ModelSpec, given: &EffectSpec) -> Vec<Fitted> {
+fn parameters(refit: &Refit, nominal: &ModelSpec, given: &EffectSpec, scales: &Scales) -> Vec<Fitted> {
     let mut started = nominal.clone();
     started.effects.push(given.clone());
+    // Shapes that were left out have been what they are then.
+    if let (Ok(effect), Some(last)) = (effects::find(&given.name), started.effects.last_mut()) {
+        for parameter in (effect.parameters)(scales) {
+            if let Some(default) = parameter.default {
+                last.parameters.entry(parameter.name.to_owned()).or_insert(default);
+            }
+        }
+    }
     refit
         .numbers
         .numbers

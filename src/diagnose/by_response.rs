@@ -322,6 +322,7 @@ impl Searcher<'_> {
             self.go_on(measured, best);
         }
         finalists.extend(self.falling(measured, finalists.first(), scales));
+        finalists.extend(self.turning(measured, &finalists, scales));
         best_first(&mut finalists, from);
         self.shape(measured, &mut finalists, scales);
         best_first(&mut finalists, from);

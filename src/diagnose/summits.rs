@@ -7,6 +7,7 @@ use super::trial::{self, Trial};
 use super::{candidates, verdict};
 use crate::identify::least_squares::Settings;
 use crate::identify::response::Measured;
+use crate::model::effects::coulomb_friction::TURNING;
 use crate::model::{Scales, effects};
 use crate::parallel;
 
@@ -20,6 +21,9 @@ const SUMMITS: usize = 3;
 const FALLS: [f64; 6] = [0.01, 0.03, 0.07, 0.15, 0.3, 0.6];
 const RISE: f64 = 0.1;
 const FALLING: f64 = 5.0;
+
+/// Velocities over which Coulomb's friction may turn round, over the typical velocity.
+const TURNS: [f64; 4] = [3e-3, 1e-2, 3e-2, 0.1];
 
 impl Searcher<'_> {
     /// Lets the shape of the last effect follow, too, where that pays: in those that may be the best then, which bring no more by it than
@@ -78,7 +82,7 @@ impl Searcher<'_> {
         best: Option<&Trial>,
         scales: &Scales,
     ) -> Option<Trial> {
-        let best = best.filter(|best| verdict::last_name(best) == "coulomb-friction")?;
+        let best = best.filter(|best| is_sticking(best))?;
         self.candidates(&best.refit.spec).iter().find(|effect| effect.name == "stribeck-friction")?;
         let (index, laid) = (best.refit.spec.effects.len() - 1, &best.response.as_ref()?.training);
         let constant = *best.refit.spec.effects[index].parameters.get("fc_n")?;
@@ -107,6 +111,45 @@ impl Searcher<'_> {
         *names.last_mut()? = "stribeck-friction".into();
         trial::respond(measured, &Trial { names, refit, ..best.clone() }, None, FURTHER_ON)
     }
+
+    /// Coulomb's friction that turns round smoothly beside one that sticks, where friction does best: Stribeck's makes up for it with a
+    /// damping that is off.
+    pub(super) fn turning(
+        &self,
+        measured: &Measured<'_>,
+        finalists: &[Trial],
+        scales: &Scales,
+    ) -> Option<Trial> {
+        let first = verdict::last_name(finalists.first()?);
+        let sticking = finalists
+            .iter()
+            .find(|trial| is_sticking(trial))
+            .filter(|_| matches!(first.as_str(), "coulomb-friction" | "stribeck-friction"))?;
+        let (index, laid) = (sticking.refit.spec.effects.len() - 1, &sticking.response.as_ref()?.training);
+        let tangent = measured.tangent(&sticking.refit.spec, &sticking.refit.numbers, laid)?;
+        let scored = parallel::map(&TURNS, parallel::cores(), |share| {
+            let mut spec = sticking.refit.spec.clone();
+            spec.effects[index].parameters.insert(TURNING.into(), share * scales.velocity_m_s);
+            let score = tangent.score(&spec)?;
+            (score.scale > 0.0).then_some((score.nats, spec))
+        });
+        let (nats, spec) = scored.into_iter().flatten().max_by(|a, b| a.0.total_cmp(&b.0))?;
+        if nats < FALLING {
+            return None;
+        }
+        let mut refit = sticking.refit.clone();
+        let own = format!("effect[{index}].");
+        refit.numbers.retain(|key| !key.starts_with(&own));
+        refit.numbers.add_effect(&spec, index, scales);
+        refit.spec = spec;
+        trial::respond(measured, &Trial { refit, ..sticking.clone() }, None, FURTHER_ON)
+    }
+}
+
+/// Coulomb's friction that sticks, added last.
+fn is_sticking(trial: &Trial) -> bool {
+    let turns = trial.refit.spec.effects.last().is_some_and(|last| last.parameters.contains_key(TURNING));
+    verdict::last_name(trial) == "coulomb-friction" && !turns
 }
 
 /// A trial in which the shape of its last effect is fitted, too; none where it has none.
@@ -134,4 +177,36 @@ fn with_shape(trial: &Trial, scales: &Scales) -> Option<Trial> {
         });
     }
     Some(Trial { refit, ..trial.clone() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::TURNING;
+    use crate::diagnose::adding::add;
+    use crate::diagnose::testing::seen;
+    use crate::diagnose::{Options, Verdict, diagnose};
+    use crate::model::testing::{b1_g2, effect};
+
+    #[test]
+    fn friction_that_turns_round_smoothly_is_no_stribeck_friction() {
+        let mut truth = b1_g2();
+        truth.isolator.damping_n_s_m = 1180.0;
+        truth.effects.push(effect("coulomb-friction", &[("fc_n", 12.0), (TURNING, 1e-3)]));
+        let mut record = seen(&truth, 31);
+        record.table_displacement_m.clear();
+        let found = diagnose(&record, &b1_g2(), &Options::default()).expect("a sound record");
+        let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+        assert_eq!((found.verdict, names), (Verdict::Missing, vec!["coulomb-friction"]));
+        let told = &found.effects[0].parameters;
+        let within = |name: &str, truth: f64| {
+            let told = &told[name];
+            (told.value - truth).abs() < 0.7 * (told.high95 - told.low95) && told.high95 < 1.5 * truth
+        };
+        assert!(within("fc_n", 12.0) && within(TURNING, 1e-3), "{told:?}");
+        // So it is written to a model, and said.
+        let added =
+            add(&record, &b1_g2(), &effect("coulomb-friction", &[("fc_n", 5.0)]), &[]).expect("fitted");
+        let over = added.parameters.iter().find(|p| p.key == format!("effect[0].{TURNING}")).expect("said");
+        assert_eq!((over.before, Some(&over.value)), (0.0, added.model.effects[0].parameters.get(TURNING)));
+    }
 }

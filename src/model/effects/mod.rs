@@ -11,7 +11,7 @@ mod bouc_wen_hysteresis;
 mod bumper_preload;
 mod bumper_stiffening;
 mod constant_force;
-mod coulomb_friction;
+pub(crate) mod coulomb_friction;
 mod cubic_stiffness;
 mod expression;
 mod fractional_damping;
@@ -121,6 +121,12 @@ impl Effect {
     /// Acts on the measured channels only, not on the motion.
     pub fn is_instrument(&self) -> bool {
         self.place == Place::Instrument || self.name == "yaw-rotation"
+    }
+
+    /// A model with only such effects, with these parameters, stays piecewise linear.
+    pub fn is_piecewise_linear(&self, spec: &EffectSpec) -> bool {
+        let smooth = spec.parameters.get(coulomb_friction::TURNING).is_some_and(|over| *over > 0.0);
+        self.piecewise_linear && !smooth
     }
 
     /// Needs a model with bumpers.

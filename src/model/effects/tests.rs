@@ -68,6 +68,25 @@ fn dry_friction_decays_linearly_and_sticks() {
     );
 }
 
+#[test]
+fn friction_that_turns_round_over_next_to_no_velocity_is_one_that_sticks() {
+    let moved = |parameters: &[(&str, f64)]| -> Vec<f64> {
+        let mut spec = b1_g2();
+        spec.effects.push(effect("coulomb-friction", parameters));
+        let mut specimen = build(&spec, DT).expect("builds");
+        let input = (0..16384).map(|i| 0.5 * (std::f64::consts::TAU * f64::from(i) * DT).sin());
+        input.map(|a| specimen.step(a).relative_displacement_m).collect()
+    };
+    let sticking = moved(&[("fc_n", 40.0)]);
+    let apart = |over_m_s: f64| {
+        let smooth = moved(&[("fc_n", 40.0), ("vt_m_s", over_m_s)]);
+        smooth.iter().zip(&sticking).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    };
+    // It creeps for as long as it would stick: what it moves by then is in proportion to that velocity.
+    let [little, less] = [1e-4, 1e-5].map(apart);
+    assert!(little < 5e-5 && less < 0.2 * little, "{little} {less}");
+}
+
 /// Force over an imposed sine, N, and the energy it takes a cycle, J, in the last of `cycles`.
 fn loop_of(spec: &ModelSpec, amplitude: f64, hz: f64, cycles: u32) -> (Vec<f64>, f64) {
     let n = 4096_u32;
