@@ -6,9 +6,10 @@ use super::search::Searcher;
 use super::trial::{self, Trial};
 use super::{candidates, verdict};
 use crate::identify::least_squares::Settings;
+use crate::identify::refit::Refit;
 use crate::identify::response::Measured;
 use crate::model::effects::coulomb_friction::TURNING;
-use crate::model::{Scales, effects};
+use crate::model::{ModelSpec, Scales, effects};
 use crate::parallel;
 
 /// How the shape of an effect is fitted.
@@ -102,11 +103,7 @@ impl Searcher<'_> {
         if nats < FALLING {
             return None;
         }
-        let mut refit = best.refit.clone();
-        let own = format!("effect[{index}].");
-        refit.numbers.retain(|key| !key.starts_with(&own));
-        refit.numbers.add_effect(&spec, index, scales);
-        refit.spec = spec;
+        let refit = with_last(&best.refit, spec, scales);
         let mut names = best.names.clone();
         *names.last_mut()? = "stribeck-friction".into();
         trial::respond(measured, &Trial { names, refit, ..best.clone() }, None, FURTHER_ON)
@@ -137,11 +134,7 @@ impl Searcher<'_> {
         if nats < FALLING {
             return None;
         }
-        let mut refit = sticking.refit.clone();
-        let own = format!("effect[{index}].");
-        refit.numbers.retain(|key| !key.starts_with(&own));
-        refit.numbers.add_effect(&spec, index, scales);
-        refit.spec = spec;
+        let refit = with_last(&sticking.refit, spec, scales);
         trial::respond(measured, &Trial { refit, ..sticking.clone() }, None, FURTHER_ON)
     }
 }
@@ -152,24 +145,32 @@ fn is_sticking(trial: &Trial) -> bool {
     verdict::last_name(trial) == "coulomb-friction" && !turns
 }
 
+/// A fit of a model that differs in its last effect, whose numbers are to be fitted as the model has them.
+fn with_last(from: &Refit, spec: ModelSpec, scales: &Scales) -> Refit {
+    let mut refit = Refit { spec, ..from.clone() };
+    let index = refit.spec.effects.len() - 1;
+    let own = format!("effect[{index}].");
+    refit.numbers.retain(|key| !key.starts_with(&own));
+    refit.numbers.add_effect(&refit.spec, index, scales);
+    refit
+}
+
 /// A trial in which the shape of its last effect is fitted, too; none where it has none.
 fn with_shape(trial: &Trial, scales: &Scales) -> Option<Trial> {
     let shapes = candidates::shapes(&verdict::last_name(trial));
     if shapes.is_empty() {
         return None;
     }
-    let mut refit = trial.refit.clone();
-    let index = refit.spec.effects.len() - 1;
-    let effect = effects::find(&refit.spec.effects[index].name).ok()?;
+    let mut spec = trial.refit.spec.clone();
+    let index = spec.effects.len() - 1;
+    let effect = effects::find(&spec.effects[index].name).ok()?;
     for (name, _) in shapes {
         let default = (effect.parameters)(scales).iter().find(|p| p.name == *name)?.default?;
-        refit.spec.effects[index].parameters.entry((*name).to_owned()).or_insert(default);
+        spec.effects[index].parameters.entry((*name).to_owned()).or_insert(default);
     }
-    let own = format!("effect[{index}].");
-    refit.numbers.retain(|key| !key.starts_with(&own));
-    refit.numbers.add_effect(&refit.spec, index, scales);
+    let mut refit = with_last(&trial.refit, spec, scales);
     for (name, (low, high)) in shapes {
-        let key = format!("{own}{name}");
+        let key = format!("effect[{index}].{name}");
         let numbers = refit.numbers.numbers.iter().zip(&mut refit.numbers.free);
         numbers.filter(|(number, _)| number.key == key).for_each(|(number, free)| {
             let of = |x: f64| if number.logarithmic { x.ln() } else { x };
