@@ -37,7 +37,7 @@ pub static EFFECT: Effect = Effect {
     install: |values, system| {
         let (force_n, over_m_s) = (values.get("fc_n"), values.get(TURNING));
         if over_m_s > 0.0 {
-            system.mass_terms.push(Box::new(Smooth { force_n, inverse_s_m: over_m_s.recip() }));
+            system.mass_terms.push(Box::new(Smooth { force_n, over_m_s }));
         } else {
             system.add_friction(force_n, force_n, f64::INFINITY);
         }
@@ -50,11 +50,11 @@ pub const TURNING: &str = "vt_m_s";
 
 struct Smooth {
     force_n: f64,
-    inverse_s_m: f64,
+    over_m_s: f64,
 }
 
 impl Term for Smooth {
     fn force(&self, at: &Point, _: &[f64], _: &mut [f64]) -> f64 {
-        self.force_n * (at.velocity_m_s * self.inverse_s_m).tanh()
+        self.force_n * (at.velocity_m_s / self.over_m_s).tanh()
     }
 }

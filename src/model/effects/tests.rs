@@ -83,8 +83,8 @@ fn friction_that_turns_round_over_next_to_no_velocity_is_one_that_sticks() {
         smooth.iter().zip(&sticking).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
     };
     // It creeps for as long as it would stick: what it moves by then is in proportion to that velocity.
-    let [little, less] = [1e-4, 1e-5].map(apart);
-    assert!(little < 5e-5 && less < 0.2 * little, "{little} {less}");
+    let [little, less, least] = [1e-4, 1e-5, f64::MIN_POSITIVE.sqrt()].map(apart);
+    assert!(little < 5e-5 && less < 0.2 * little && least < less, "{little} {less} {least}");
 }
 
 /// Force over an imposed sine, N, and the energy it takes a cycle, J, in the last of `cycles`.
