@@ -394,9 +394,9 @@ impl<'a> Problem<'a> {
 
     /// The model is solved in closed form, some ten times as fast as otherwise.
     fn is_closed(&self) -> bool {
-        let given = |own: &EffectSpec| effects::find(&own.name).is_ok_and(|e| e.is_piecewise_linear(own));
         let freed = |name: &&str| effects::find(name).is_ok_and(|effect| effect.piecewise_linear);
-        self.configuration.model.effects.iter().all(given) && self.freedom.effects.iter().all(freed)
+        effects::are_piecewise_linear(&self.configuration.model.effects)
+            && self.freedom.effects.iter().all(freed)
     }
 
     /// RMS of the logarithmic errors that count.

@@ -6,7 +6,7 @@
 use super::peaks::{Peaks, Resonance, peaks_of};
 use crate::model::effects;
 use crate::model::sweep::PEAK_CYCLES;
-use crate::model::{EffectSpec, ModelError, ModelSpec, Options, StepPeaks, steady_peaks};
+use crate::model::{ModelError, ModelSpec, Options, StepPeaks, steady_peaks};
 use crate::sweep::{Direction, Schedule, Step, SweepSpec, Transition};
 
 /// Sampling rates at which peaks are looked at, Hz: in closed form, where only samples beside a turn are
@@ -59,9 +59,7 @@ pub fn steady_states(
     steps: &[Step],
     settings: &Settings,
 ) -> Result<Vec<IdealStep>, ModelError> {
-    let closed =
-        |own: &EffectSpec| effects::find(&own.name).is_ok_and(|effect| effect.is_piecewise_linear(own));
-    let rate_hz = if model.effects.iter().all(closed) { RATES_HZ[0] } else { RATES_HZ[1] };
+    let rate_hz = if effects::are_piecewise_linear(&model.effects) { RATES_HZ[0] } else { RATES_HZ[1] };
     let steps: Vec<Step> =
         steps.iter().map(|step| Step { cycles: step.cycles.min(settings.cycles), ..*step }).collect();
     let options = Options { tolerance: settings.tolerance };

@@ -9,7 +9,7 @@ impl Searcher<'_> {
     /// Errors of the simulated response step by step, each with the number of its window: with what belongs to each step estimated
     /// where the response was fitted, else from the measured start.
     pub fn errors(&self, trial: &Trial) -> Option<Vec<(usize, OutputError)>> {
-        let (spec, problem) = (&trial.refit.spec, &self.fitting);
+        let (spec, problem) = (&trial.refit.spec, self.problem());
         let (Some(measured), Some(response)) = (&self.measured, &trial.response) else {
             return problem.output_errors(spec, trial.refit.zero_m, Part::All);
         };
@@ -29,7 +29,7 @@ impl Searcher<'_> {
     pub fn over_noise(&self, trial: &Trial) -> Option<f64> {
         let held_out = &trial.response.as_ref()?.held_out;
         let errors = self.measured.as_ref()?.errors(&trial.refit.spec, Part::HeldOut, held_out)?;
-        let error = self.fitting.sum(&errors, Part::HeldOut)?;
+        let error = self.problem().sum(&errors, Part::HeldOut)?;
         Some(error.nrmse() / error.noise_floor(self.motion))
     }
 

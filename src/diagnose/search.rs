@@ -80,7 +80,7 @@ pub struct Searcher<'a> {
     pub(super) motion: &'a Motion,
     pub(super) effort: Effort,
     screening: Problem<'a>,
-    pub(super) fitting: Problem<'a>,
+    fitting: Problem<'a>,
     /// The nominal model fitted by force.
     pub(super) fitted: Option<Refit>,
     stride: usize,

@@ -114,6 +114,11 @@ impl Response {
         0.5 * (self.left[0].colour + self.left[1].colour)
     }
 
+    /// How many residuals there are.
+    pub fn count(&self) -> usize {
+        self.training.count + self.held_out.count
+    }
+
     /// Structure that is left, in units of the noise.
     pub fn excess(&self) -> f64 {
         0.5 * (self.left[0].excess + self.left[1].excess)
@@ -164,16 +169,14 @@ impl Trial {
 
     /// Nats that a better explanation may bring: what hangs together in the residuals of the response.
     pub fn nats_left(&self) -> f64 {
-        self.response.as_ref().map_or(0.0, |response| {
-            let count = (response.training.count + response.held_out.count) as f64;
-            0.5 * response.excess().max(0.0) * count
-        })
+        self.response
+            .as_ref()
+            .map_or(0.0, |response| 0.5 * response.excess().max(0.0) * response.count() as f64)
     }
 
     /// Standard deviation of the excess of a response that leaves nothing but white noise.
     pub fn chance(&self) -> f64 {
-        let count = self.response.as_ref().map_or(0, |r| r.training.count + r.held_out.count);
-        (count.max(1) as f64).sqrt().recip()
+        (self.response.as_ref().map_or(0, Response::count).max(1) as f64).sqrt().recip()
     }
 
     /// Whether its simulated response is too far off for first order.

@@ -92,8 +92,7 @@ impl Thresholds {
 
     /// Nats that what a force of the bumpers brings may be wrong by.
     pub fn doubt(self, response: &Response) -> f64 {
-        let count = (response.training.count + response.held_out.count) as f64;
-        self.kicked * response.kicked * count
+        self.kicked * response.kicked * response.count() as f64
     }
 
     /// What a trial has to bring on each part of the steps and together.

@@ -87,9 +87,7 @@ impl<'a> Measured<'a> {
 
 /// Whether the exact solver takes a model.
 pub(super) fn is_piecewise_linear(spec: &ModelSpec) -> bool {
-    spec.effects
-        .iter()
-        .all(|own| effects::find(&own.name).is_ok_and(|effect| effect.is_piecewise_linear(own)))
+    effects::are_piecewise_linear(&spec.effects)
 }
 
 /// The same model, in the hands of the general solver.

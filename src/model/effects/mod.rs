@@ -91,6 +91,11 @@ pub enum Place {
     User,
 }
 
+/// Whether a model with these effects stays piecewise linear.
+pub fn are_piecewise_linear(effects: &[EffectSpec]) -> bool {
+    effects.iter().all(|own| find(&own.name).is_ok_and(|effect| effect.is_piecewise_linear(own)))
+}
+
 /// One entry of the catalogue.
 pub struct Effect {
     /// Public name, the same word everywhere.
@@ -124,7 +129,7 @@ impl Effect {
     }
 
     /// A model with only such effects, with these parameters, stays piecewise linear.
-    pub fn is_piecewise_linear(&self, spec: &EffectSpec) -> bool {
+    fn is_piecewise_linear(&self, spec: &EffectSpec) -> bool {
         let smooth = spec.parameters.get(coulomb_friction::TURNING).is_some_and(|over| *over > 0.0);
         self.piecewise_linear && !smooth
     }
