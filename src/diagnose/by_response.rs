@@ -36,6 +36,8 @@ pub(super) const WORTH: f64 = 4.0;
 const SHARE: f64 = 0.05;
 /// Nats to first order that the most of so many starts may bring by chance: where no fit from there gains anything, none is looked for.
 const CHANCE: f64 = 8.0;
+/// Nats to first order below which nothing is fitted beside an effect of a long record: what is asked of a second effect.
+const SECOND: f64 = 10.0;
 /// Nats by which a model has to do better when it is fitted again.
 const BETTER: f64 = 2.0;
 /// Nats that a simpler effect beside the one that contains it has to bring.
@@ -247,7 +249,8 @@ impl Searcher<'_> {
         }
         // To first order is near enough where little is left; otherwise the force has a say.
         let best = first.first().map_or(0.0, |(nats, _)| *nats);
-        if !from.names.is_empty() && best < WORTH {
+        let least = if measured.is_long() { SECOND } else { WORTH };
+        if !from.names.is_empty() && best < least {
             return Vec::new();
         }
         let far = from.is_far();

@@ -1,5 +1,5 @@
 //! Sine, cosine and exponential without calls, tables or changes of the rounding mode, for the event
-//! search, which spends its time in them; within two units in the last place of the standard library's.
+//! search and the harmonics of long records, which spend their time in them; within two units in the last place of the standard library's.
 
 /// Largest argument, rad or 1; beyond it the standard library is asked.
 const LARGEST: f64 = 1e5;

@@ -6,7 +6,7 @@
 mod check;
 pub mod contact;
 pub mod effects;
-mod elementary;
+pub(crate) mod elementary;
 #[cfg(test)]
 mod energy_tests;
 mod error;
@@ -96,6 +96,10 @@ pub trait Specimen: Send {
 
     /// Puts such states in.
     fn recall(&mut self, _memory: &[f64]) {}
+
+    /// Tells terms that remember reversals those of the motion so far (displacements in m, in their order) and puts the mass where it is
+    /// now (m, m/s), everything else undeformed. Models without such terms stay as they are.
+    fn retrace(&mut self, _reversals_m: &mut dyn Iterator<Item = f64>, _now: (f64, f64)) {}
 
     /// Moves the mass along an imposed motion by one sample interval (relative displacement m and
     /// velocity m/s at its end): hidden states (bumper tips, hysteresis, friction) follow. The

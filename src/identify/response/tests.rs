@@ -201,6 +201,32 @@ fn a_springpot_remembers_the_record_before_a_step() {
 }
 
 #[test]
+fn a_hysteresis_is_told_of_the_reversals_before_a_step() {
+    let mut truth = b1_g2();
+    let iwan = [("kp_n_m", 4e3), ("exponent", -0.3), ("yield_min_m", 2e-4), ("yield_max_m", 1e-2)];
+    truth.effects.push(effect("iwan-hysteresis", &iwan));
+    let motion = Motion::of(&seen(&truth, 21), 500.0, Tolerances::default()).expect("a motion");
+    let measured = Measured::new(&motion).expect("with a laser");
+    let mut specimen = model::build(&truth, motion.dt_s()).expect("builds");
+    let window = motion.windows.last().expect("steps");
+    let first = window.warm_from;
+    let at = |n: usize| (motion.displacement_m[n], motion.velocity_m_s[n]);
+    let whole: Vec<f64> =
+        (0..window.range.start).map(|n| specimen.impose(at(n).0, at(n).1).mass_acceleration_m_s2).collect();
+    let mut apart = |retraced: bool| {
+        specimen.reset();
+        if retraced {
+            specimen.retrace(&mut measured.reversals_m(window).iter().copied(), at(first - 1));
+        }
+        let after = |n: usize| (specimen.impose(at(n).0, at(n).1).mass_acceleration_m_s2 - whole[n]).abs();
+        (first..window.range.start).map(after).fold(0.0, f64::max)
+    };
+    // What is left of it is that noise turned the motion, too.
+    let (retraced, from_the_middle) = (apart(true), apart(false));
+    assert!(retraced < 1e-3 && from_the_middle > 1e-2, "{retraced} {from_the_middle} m/s2");
+}
+
+#[test]
 fn along_a_number_that_the_record_tells_the_profile_says_what_the_curvature_does_and_finds_a_better_place() {
     let mut truth = b1_g2();
     truth.effects.push(effect("quadratic-damping", &[("c2_n_s2_m2", 400.0)]));

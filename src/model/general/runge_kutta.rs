@@ -15,14 +15,20 @@ pub struct Step<const N: usize> {
 }
 
 impl<const N: usize> Step<N> {
-    /// A step of `h` s from `y`, whose rates are `k1`; `f(offset, state)` gives rates.
-    pub fn take(h: f64, y: &[f64; N], k1: &[f64; N], mut f: impl FnMut(f64, &[f64; N]) -> [f64; N]) -> Self {
+    /// A step of `h` s from `y`, whose rates are `k1`; `f(offset, state)` gives rates and what goes with them. The step, and what goes
+    /// with the rates at its end.
+    pub fn take<W>(
+        h: f64,
+        y: &[f64; N],
+        k1: &[f64; N],
+        f: impl Fn(f64, &[f64; N]) -> ([f64; N], W),
+    ) -> (Self, W) {
         let sum = |terms: &[(f64, &[f64; N])]| -> [f64; N] {
             std::array::from_fn(|i| y[i] + h * terms.iter().map(|(a, k)| a * k[i]).sum::<f64>())
         };
-        let k2 = f(h / 5.0, &sum(&[(1.0 / 5.0, k1)]));
-        let k3 = f(0.3 * h, &sum(&[(3.0 / 40.0, k1), (9.0 / 40.0, &k2)]));
-        let k4 = f(0.8 * h, &sum(&[(44.0 / 45.0, k1), (-56.0 / 15.0, &k2), (32.0 / 9.0, &k3)]));
+        let k2 = f(h / 5.0, &sum(&[(1.0 / 5.0, k1)])).0;
+        let k3 = f(0.3 * h, &sum(&[(3.0 / 40.0, k1), (9.0 / 40.0, &k2)])).0;
+        let k4 = f(0.8 * h, &sum(&[(44.0 / 45.0, k1), (-56.0 / 15.0, &k2), (32.0 / 9.0, &k3)])).0;
         let k5 = f(
             8.0 / 9.0 * h,
             &sum(&[
@@ -31,7 +37,8 @@ impl<const N: usize> Step<N> {
                 (64448.0 / 6561.0, &k3),
                 (-212.0 / 729.0, &k4),
             ]),
-        );
+        )
+        .0;
         let k6 = f(
             h,
             &sum(&[
@@ -41,7 +48,8 @@ impl<const N: usize> Step<N> {
                 (49.0 / 176.0, &k4),
                 (-5103.0 / 18656.0, &k5),
             ]),
-        );
+        )
+        .0;
         let end = sum(&[
             (35.0 / 384.0, k1),
             (500.0 / 1113.0, &k3),
@@ -49,7 +57,7 @@ impl<const N: usize> Step<N> {
             (-2187.0 / 6784.0, &k5),
             (11.0 / 84.0, &k6),
         ]);
-        let k7 = f(h, &end);
+        let (k7, with) = f(h, &end);
         let error = std::array::from_fn(|i| {
             h * (71.0 / 57600.0 * k1[i] - 71.0 / 16695.0 * k3[i] + 71.0 / 1920.0 * k4[i]
                 - 17253.0 / 339_200.0 * k5[i]
@@ -66,7 +74,8 @@ impl<const N: usize> Step<N> {
                 - 1_453_857_185.0 / 822_651_844.0 * k6[i]
                 + 69_997_945.0 / 29_380_423.0 * k7[i])
         });
-        Self { end, rates: k7, error, dense: [difference, first, second, third], start: *y }
+        let dense = [difference, first, second, third];
+        (Self { end, rates: k7, error, dense, start: *y }, with)
     }
 
     /// State at a part of the step, 0 to 1.

@@ -94,12 +94,12 @@ impl<const N: usize> General<N> {
         Now { rates, forces, guards }
     }
 
-    fn take<D: Drive>(&self, from: f64, h: f64, now: &Now<N>, drive: D, motion: Motion) -> Step<N> {
+    /// A step, and the forces at its end.
+    fn take<D: Drive>(&self, from: f64, h: f64, now: &Now<N>, drive: D, motion: Motion) -> (Step<N>, Forces) {
         Step::take(h, &self.y, &now.rates, |offset, y| {
             let t = from + offset;
-            self.system
-                .rates((self.time_s + t, drive.at(t)), y, &self.mode, &self.layout, imposed(motion, t))
-                .0
+            let at = (self.time_s + t, drive.at(t));
+            self.system.rates(at, y, &self.mode, &self.layout, imposed(motion, t))
         })
     }
 
@@ -129,7 +129,7 @@ impl<const N: usize> General<N> {
             if rest - h < 0.01 * h {
                 h = rest;
             }
-            let (step, excess) = self.controlled(t, &mut h, &now, drive, motion);
+            let (step, forces, excess) = self.controlled(t, &mut h, &now, drive, motion);
             taken += 1.0;
             if !step.end.iter().all(|y| y.is_finite()) || taken > enough {
                 // A model that runs away (a loss below zero, say) leaves no state to go on from; one far too stiff to be followed
@@ -137,12 +137,8 @@ impl<const N: usize> General<N> {
                 self.y = [f64::NAN; N];
                 break;
             }
-            let guards = {
-                let at = (self.time_s + t + h, drive.at(t + h));
-                let forces =
-                    self.system.rates(at, &step.end, &self.mode, &self.layout, imposed(motion, t + h)).1;
-                self.system.guards(at, &step.end, &self.mode, &self.layout, &forces)
-            };
+            let at = (self.time_s + t + h, drive.at(t + h));
+            let guards = self.system.guards(at, &step.end, &self.mode, &self.layout, &forces);
             let nearly = self.may_dip(h, &now, &guards, &step);
             let failed = guards.iter().any(|g| *g < 0.0) || nearly.contains(&true);
             let failure = if failed && events < PATIENCE {
@@ -156,33 +152,39 @@ impl<const N: usize> General<N> {
                 events += 1;
                 let short = part * h;
                 if short > 0.0 {
-                    let step = self.take(t, short, &now, drive, motion);
+                    let (step, _) = self.take(t, short, &now, drive, motion);
                     emit(self, t, t + short, &step);
                     self.y = step.end;
                     t += short;
                 }
                 self.commit();
                 self.switch(index, t, drive, motion);
+                now = self.now(t, drive, motion);
             } else {
                 emit(self, t, t + h, &step);
                 self.y = step.end;
                 t = if h == rest { duration } else { t + h };
                 self.commit();
-                let growth = 0.9 * excess.max(1e-6).powf(-0.2);
+                let growth = 0.9 * fifth_root(excess.max(1e-6)).recip();
                 self.preferred_s = (h * growth.clamp(0.2, 5.0)).max(if h == rest {
                     self.preferred_s.min(h * 5.0)
                 } else {
                     0.0
                 });
+                // Terms with memory may go on otherwise than they came.
+                now = if self.turns {
+                    self.now(t, drive, motion)
+                } else {
+                    Now { rates: step.rates, forces, guards }
+                };
             }
-            now = self.now(t, drive, motion);
         }
         self.time_s += duration;
         self.age_tips();
         now.forces
     }
 
-    /// A step within the tolerance; shortens `h` until it is (or cannot get shorter).
+    /// A step within the tolerance, the forces at its end and its error; shortens `h` until it is (or cannot get shorter).
     fn controlled<D: Drive>(
         &self,
         t: f64,
@@ -190,15 +192,15 @@ impl<const N: usize> General<N> {
         now: &Now<N>,
         drive: D,
         motion: Motion,
-    ) -> (Step<N>, f64) {
+    ) -> (Step<N>, Forces, f64) {
         let smallest = 1e-7 * self.system.sample_period_s;
         loop {
-            let step = self.take(t, *h, now, drive, motion);
+            let (step, forces) = self.take(t, *h, now, drive, motion);
             let excess = self.excess(&step.error);
             if excess <= 1.0 || *h <= smallest {
-                return (step, excess);
+                return (step, forces, excess);
             }
-            *h *= if excess.is_finite() { (0.9 * excess.powf(-0.2)).clamp(0.1, 0.9) } else { 0.1 };
+            *h *= if excess.is_finite() { (0.9 / fifth_root(excess)).clamp(0.1, 0.9) } else { 0.1 };
         }
     }
 
@@ -427,6 +429,11 @@ impl<const N: usize> General<N> {
     }
 }
 
+/// Near enough for the length of the next step.
+fn fifth_root(x: f64) -> f64 {
+    f64::from((x as f32).powf(0.2))
+}
+
 fn imposed(motion: Motion, t: f64) -> Option<f64> {
     match motion {
         Motion::Free => None,
@@ -521,6 +528,20 @@ impl<const N: usize> Specimen for General<N> {
         for range in self.remembering().into_iter().filter(|range| range.len() == memory.len()) {
             self.y[range].copy_from_slice(memory);
         }
+    }
+
+    fn retrace(&mut self, reversals_m: &mut dyn Iterator<Item = f64>, now: (f64, f64)) {
+        // What is in series with a joint moves otherwise than the mass.
+        if !self.turns || self.system.joint_half_width_m.is_some() {
+            return;
+        }
+        self.at_rest = false;
+        for displacement_m in reversals_m.chain([now.0]) {
+            self.y[0] = displacement_m;
+            self.remember();
+        }
+        self.y[1] = now.1;
+        self.settle_mode();
     }
 
     fn prime(&mut self, table_acceleration_m_s2: f64) {
