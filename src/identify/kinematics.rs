@@ -8,6 +8,7 @@
 
 use super::least_squares::{self, Free, Settings, dot};
 use super::spectral::{Spectrum, white_noise_rms};
+use crate::model::elementary::sin_cos;
 use crate::parallel;
 use crate::record::Record;
 use realfft::num_complex::Complex64;
@@ -252,9 +253,17 @@ impl Relation {
         let (mut shift_a, mut shift_t) = (0.0, 0.0);
         let mut last = None;
         for _ in 0..3 {
-            let twice = |shift: f64| move |w: f64| Complex64::from_polar(-1.0 / (w * w), -w * shift);
+            let twice = |shift: f64| {
+                move |w: f64| {
+                    let (sin, cos) = sin_cos(w * shift);
+                    Complex64::new(-cos, sin) / (w * w)
+                }
+            };
             let rate = |shift: f64| {
-                move |w: f64| Complex64::from_polar(1.0 / w, -w * shift - std::f64::consts::FRAC_PI_2)
+                move |w: f64| {
+                    let (sin, cos) = sin_cos(w * shift);
+                    Complex64::new(-sin, -cos) / w
+                }
             };
             let columns = [
                 band.series(mass, twice(shift_a)),

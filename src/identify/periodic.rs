@@ -2,6 +2,7 @@
 //! table had moved: near resonance it shows in the displacement as much as the laser's own noise. Called once a window
 //! when a base record is made ready.
 
+use crate::model::elementary::sin_cos;
 use nalgebra::{DMatrix, DVector, SMatrix};
 use realfft::num_complex::Complex64;
 use std::f64::consts::TAU;
@@ -59,7 +60,7 @@ pub fn periodic(
         // a sin(w t) + b cos(w t) + t (c sin(w t) + d cos(w t)): c and d are what a wrong frequency makes.
         let x = regress(channel, &all, |n| {
             let t = n as f64 - middle;
-            let (sin, cos) = (w * t).sin_cos();
+            let (sin, cos) = sin_cos(w * t);
             [1.0, sin, cos, t * sin, t * cos]
         })?;
         let power = x[1] * x[1] + x[2] * x[2];
@@ -131,7 +132,8 @@ impl Periodic {
 
 /// 1 and the harmonics of an angle.
 fn harmonics(angle: f64) -> [f64; 1 + 2 * HARMONICS] {
-    let first = Complex64::from_polar(1.0, angle);
+    let (sin, cos) = sin_cos(angle);
+    let first = Complex64::new(cos, sin);
     let (mut wave, mut row) = (first, [1.0; 1 + 2 * HARMONICS]);
     for pair in row[1..].chunks_exact_mut(2) {
         pair.copy_from_slice(&[wave.im, wave.re]);

@@ -1,6 +1,7 @@
 //! Where a record is steady: the stretches that models are laid against.
 
 use super::motion::{Motion, Window};
+use crate::model::elementary::sin_cos;
 use crate::record::{Kind, Record};
 use realfft::num_complex::Complex64;
 use std::f64::consts::TAU;
@@ -137,7 +138,10 @@ fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
 /// Complex amplitude of a channel at a period of so many samples, its phase that at the first sample.
 fn phasor(channel: &[f64], cycle: f64) -> Complex64 {
     let mean = channel.iter().sum::<f64>() / channel.len().max(1) as f64;
-    let at = |(n, x): (usize, &f64)| (x - mean) * Complex64::from_polar(1.0, -TAU * n as f64 / cycle);
+    let at = |(n, x): (usize, &f64)| {
+        let (sin, cos) = sin_cos(TAU * n as f64 / cycle);
+        (x - mean) * Complex64::new(cos, -sin)
+    };
     channel.iter().enumerate().map(at).sum::<Complex64>() * (2.0 / channel.len().max(1) as f64)
 }
 
