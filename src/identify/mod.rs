@@ -9,6 +9,7 @@ pub mod periodic;
 pub mod problem;
 pub mod refit;
 pub mod response;
+mod reversals;
 pub mod spectral;
 mod table;
 pub mod together;

@@ -25,6 +25,8 @@ pub struct Window {
     pub frequency_hz: f64,
     /// Samples before the window that warm up hidden states, from here to `range.start`.
     pub warm_from: usize,
+    /// Displacements (m) at which the motion has turned before `warm_from`, in their order, but for loops that have closed since.
+    pub reversals_m: Vec<f64>,
     /// Samples that count.
     pub range: Range<usize>,
     /// Kept back from every fit; judges what was fitted.
@@ -142,6 +144,7 @@ impl Motion {
             Kind::Component => component(record)?,
         };
         motion.windows = windows::cut(record, &motion, farthest);
+        motion.note_reversals();
         motion.remove_acceleration_zeros();
         motion.remove_noise_of_the_table();
         Ok(motion)

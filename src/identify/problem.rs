@@ -211,6 +211,7 @@ impl<'a> Problem<'a> {
         let first = window.range.start - steps * self.thin;
         specimen.reset();
         specimen.set_time_s(self.time_s(window, first));
+        motion.retrace(specimen, window, first, shift_m);
         for i in 0..steps {
             let n = first + i * self.thin;
             specimen.impose(motion.displacement_m[n] + shift_m, motion.velocity_m_s[n]);
@@ -348,6 +349,7 @@ impl<'a> Problem<'a> {
             window.range.start.saturating_sub(cycle).max(window.warm_from + 1).min(window.range.start);
         specimen.reset();
         specimen.set_time_s(self.time_s(window, window.warm_from));
+        motion.retrace(specimen, window, window.warm_from, shift_m);
         for n in window.warm_from..free_from {
             specimen.impose(motion.displacement_m[n] + shift_m, motion.velocity_m_s[n]);
         }

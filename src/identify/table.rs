@@ -362,6 +362,7 @@ mod tests {
             settling: false,
             random: false,
             source: 0,
+            reversals_m: Vec::new(),
             drive_noise_m_s2: 0.0,
             wave_noise_m_s2: 0.0,
         };

@@ -130,6 +130,7 @@ fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
         settling: false,
         random: false,
         source: 0,
+        reversals_m: Vec::new(),
         drive_noise_m_s2: 0.0,
         wave_noise_m_s2: 0.0,
     })
@@ -169,6 +170,7 @@ fn equal_parts(n: usize, motion: &Motion) -> Vec<Window> {
             settling: false,
             random: motion.kind == Kind::Base,
             source: 0,
+            reversals_m: Vec::new(),
             drive_noise_m_s2: 0.0,
             wave_noise_m_s2: 0.0,
         })

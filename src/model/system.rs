@@ -90,6 +90,11 @@ pub trait Term: Send {
         false
     }
 
+    /// Forgets a reversal of the motion only when this goes beyond it: all of them count, however long ago.
+    fn retraces(&self) -> bool {
+        false
+    }
+
     /// The motion has come to this displacement, monotonically since the last call.
     fn commit(&mut self, _displacement_m: f64) {}
 

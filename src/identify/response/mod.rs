@@ -90,8 +90,6 @@ pub struct Measured<'a> {
     driven: Arc<OnceLock<Vec<Option<Innovations>>>>,
     /// What a springpot remembers at the beginning of each window.
     remembered: Arc<OnceLock<Vec<Vec<f64>>>>,
-    /// Reversals that the beginning of each window has not forgotten.
-    reversals_m: Arc<OnceLock<Vec<Vec<f64>>>>,
 }
 
 /// What is estimated in one step beside the model's numbers: start displacement, start velocity (against the measured
@@ -145,8 +143,6 @@ struct Specimens {
     hidden: bool,
     /// An effect forgets by a power law: slower than in the cycles before a step.
     remembers: bool,
-    /// An effect forgets a reversal only when the motion goes beyond it.
-    retraces: bool,
     /// The table moves otherwise than it is driven.
     kicks: bool,
 }
@@ -201,7 +197,6 @@ impl<'a> Measured<'a> {
             slow: Arc::default(),
             driven: Arc::default(),
             remembered: Arc::default(),
-            reversals_m: Arc::default(),
         })
     }
 
@@ -342,11 +337,7 @@ impl<'a> Measured<'a> {
         if specimens.remembers {
             specimen.recall(self.remembered(window));
         }
-        if specimens.retraces && first > source.first {
-            let mut reversals_m = self.reversals_m(window).iter().map(|d| d + zero_m);
-            let now = (motion.displacement_m[first - 1] + zero_m, motion.velocity_m_s[first - 1]);
-            specimen.retrace(&mut reversals_m, now);
-        }
+        motion.retrace(specimen, window, first, zero_m);
         for n in first..last {
             specimen.impose(motion.displacement_m[n] + zero_m, motion.velocity_m_s[n]);
         }
@@ -525,12 +516,10 @@ impl<'a> Measured<'a> {
         let sources = &self.motion.sources;
         let build = |source: &Source| model::build(&source.setting.of(spec), self.motion.dt_s()).ok();
         let has = |name: &str| spec.effects.iter().any(|effect| effect.name == name);
-        let (remembers, retraces) = (has("fractional-damping"), has("iwan-hysteresis"));
-        let kicks = has("table-interaction");
+        let (remembers, kicks) = (has("fractional-damping"), has("table-interaction"));
         let stateless = |effect: &EffectSpec| effects::find(&effect.name).is_ok_and(|e| e.states.is_empty());
         let hidden = !spec.effects.iter().all(stateless);
-        let each = sources.iter().map(build).collect::<Option<_>>()?;
-        Some(Specimens { each, hidden, remembers, retraces, kicks })
+        Some(Specimens { each: sources.iter().map(build).collect::<Option<_>>()?, hidden, remembers, kicks })
     }
 }
 

@@ -206,7 +206,6 @@ fn a_hysteresis_is_told_of_the_reversals_before_a_step() {
     let iwan = [("kp_n_m", 4e3), ("exponent", -0.3), ("yield_min_m", 2e-4), ("yield_max_m", 1e-2)];
     truth.effects.push(effect("iwan-hysteresis", &iwan));
     let motion = Motion::of(&seen(&truth, 21), 500.0, Tolerances::default()).expect("a motion");
-    let measured = Measured::new(&motion).expect("with a laser");
     let mut specimen = model::build(&truth, motion.dt_s()).expect("builds");
     let window = motion.windows.last().expect("steps");
     let first = window.warm_from;
@@ -216,7 +215,7 @@ fn a_hysteresis_is_told_of_the_reversals_before_a_step() {
     let mut apart = |retraced: bool| {
         specimen.reset();
         if retraced {
-            specimen.retrace(&mut measured.reversals_m(window).iter().copied(), at(first - 1));
+            motion.retrace(specimen.as_mut(), window, first, 0.0);
         }
         let after = |n: usize| (specimen.impose(at(n).0, at(n).1).mass_acceleration_m_s2 - whole[n]).abs();
         (first..window.range.start).map(after).fold(0.0, f64::max)

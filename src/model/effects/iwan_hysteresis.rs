@@ -148,6 +148,10 @@ impl Term for Iwan {
         self.at(x)
     }
 
+    fn retraces(&self) -> bool {
+        true
+    }
+
     fn commit(&mut self, displacement_m: f64) {
         let step = displacement_m - self.last;
         if step == 0.0 {

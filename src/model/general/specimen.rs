@@ -530,9 +530,14 @@ impl<const N: usize> Specimen for General<N> {
         }
     }
 
-    fn retrace(&mut self, reversals_m: &mut dyn Iterator<Item = f64>, now: (f64, f64)) {
+    fn retraces(&self) -> bool {
         // What is in series with a joint moves otherwise than the mass.
-        if !self.turns || self.system.joint_half_width_m.is_some() {
+        let jointed = self.system.joint_half_width_m.is_some();
+        !jointed && self.system.isolator_terms.iter().any(|term| term.retraces())
+    }
+
+    fn retrace(&mut self, reversals_m: &mut dyn Iterator<Item = f64>, now: (f64, f64)) {
+        if !self.retraces() {
             return;
         }
         self.at_rest = false;
