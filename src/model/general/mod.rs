@@ -9,6 +9,7 @@
 mod dynamics;
 mod events;
 mod impose;
+mod interface;
 mod runge_kutta;
 mod specimen;
 mod stretch;

@@ -1,8 +1,8 @@
-//! The stepping loop: step control, events, and the [`Specimen`] interface.
+//! The stepping loop: step control and events.
 
 use super::super::system::System;
 use super::super::{Options, Response, Specimen};
-use super::dynamics::{Course, Drive, Forces, Joint, Layout, Line, Mode, Motion, Sliding, Tip};
+use super::dynamics::{Drive, Forces, Joint, Layout, Mode, Motion, Sliding, Tip};
 use super::events::{GUARDS, Guards, first_failure, guard};
 use super::runge_kutta::Step;
 
@@ -30,7 +30,7 @@ pub struct General<const N: usize> {
     /// Terms have states of their own.
     pub(super) integrates: bool,
     /// Nothing has moved it since its reset.
-    at_rest: bool,
+    pub(super) at_rest: bool,
 }
 
 /// Rates, forces and guards at the present instant.
@@ -254,14 +254,14 @@ impl<const N: usize> General<N> {
     }
 
     /// Tells terms with memory where they are.
-    fn remember(&mut self) {
+    pub(super) fn remember(&mut self) {
         let element = self.element_m();
         self.system.isolator_terms.iter_mut().for_each(|term| term.commit(element));
         self.system.mass_terms.iter_mut().for_each(|term| term.commit(self.y[0]));
     }
 
     /// Terms with memory begin where they are, pushed there from nothing.
-    fn forget(&mut self) {
+    pub(super) fn forget(&mut self) {
         let terms = self.system.isolator_terms.iter_mut().chain(&mut self.system.mass_terms);
         terms.for_each(|term| term.reset());
         self.remember();
@@ -338,7 +338,7 @@ impl<const N: usize> General<N> {
     }
 
     /// Mode that fits the present state: where segments, contacts and directions are taken from it.
-    fn settle_mode(&mut self) {
+    pub(super) fn settle_mode(&mut self) {
         let element = self.element_m();
         self.mode.segment = self.system.segment(element);
         for side in 0..2 {
@@ -438,126 +438,5 @@ fn imposed(motion: Motion, t: f64) -> Option<f64> {
     match motion {
         Motion::Free => None,
         Motion::Imposed(acceleration) => Some(acceleration.at(t)),
-    }
-}
-
-impl<const N: usize> Specimen for General<N> {
-    fn reset(&mut self) {
-        self.y = [0.0; N];
-        self.y[0] = self.system.equilibrium_m();
-        self.at_rest = true;
-        (self.time_s, self.table) = (0.0, Some(0.0));
-        self.preferred_s = self.system.sample_period_s;
-        let (length, frequency) = self.system.magnitudes();
-        // What is far below the specimen's own size need not be resolved.
-        self.largest = [1e-3 * length, 1e-3 * length * frequency];
-        self.mode.tips = [Tip::default(); 2];
-        // Which way it goes first is not known yet.
-        self.mode.direction = 0;
-        self.mode.joint = if self.system.joint_half_width_m.is_some() { Joint::Open } else { Joint::Rigid };
-        self.forget();
-        self.settle_mode();
-    }
-
-    fn step(&mut self, table_acceleration_m_s2: f64) -> Response {
-        let dt = self.system.sample_period_s;
-        let start = self.table.unwrap_or(table_acceleration_m_s2);
-        let line = Line { start, slope: (table_acceleration_m_s2 - start) / dt };
-        let forces = self.advance(dt, line, Motion::Free, &mut |_, _, _, _| {});
-        self.prime(table_acceleration_m_s2);
-        self.response(&forces)
-    }
-
-    fn run(&mut self, table_acceleration_m_s2: &[f64], visit: &mut dyn FnMut(&Response)) {
-        let Some((first, last)) = table_acceleration_m_s2.first().zip(table_acceleration_m_s2.last()) else {
-            return;
-        };
-        // A tip that relaxes by small steps has to be stated anew after each sample.
-        if !self.system.bumper.relaxes_in_closed_form() {
-            table_acceleration_m_s2.iter().for_each(|table| visit(&self.step(*table)));
-            return;
-        }
-        let drive = Course {
-            start: self.table.unwrap_or(*first),
-            samples: table_acceleration_m_s2,
-            rate_hz: 1.0 / self.system.sample_period_s,
-        };
-        if self.system.is_plain() {
-            self.run_of::<true>(drive, visit);
-        } else {
-            self.run_of::<false>(drive, visit);
-        }
-        self.prime(*last);
-    }
-
-    fn impose(&mut self, relative_displacement_m: f64, relative_velocity_m_s: f64) -> Response {
-        let dt = self.system.sample_period_s;
-        // An imposed motion starts with everything undeformed: where a constant force would hold the mass is no place it comes from.
-        if self.at_rest {
-            self.at_rest = false;
-            self.y[0] = 0.0;
-            self.forget();
-            self.settle_mode();
-        }
-        let (d0, v0, d1, v1) = (self.y[0], self.y[1], relative_displacement_m, relative_velocity_m_s);
-        // Acceleration of the cubic through both ends.
-        let mean = (d1 - d0) / dt;
-        let start = (6.0 * mean - 4.0 * v0 - 2.0 * v1) / dt;
-        let line = Line { start, slope: (6.0 * (v0 + v1) - 12.0 * mean) / (dt * dt) };
-        if self.imposes_by_sample() {
-            return self.impose_sampled(d1, v1, line);
-        }
-        if self.system.friction.is_some() && self.mode.sliding == Sliding::Stick {
-            let moves = if v0 != 0.0 { v0 } else { d1 - d0 };
-            self.mode.sliding = Sliding::Slip(if moves < 0.0 { -1 } else { 1 });
-        }
-        let still = Line { start: 0.0, slope: 0.0 };
-        self.advance(dt, still, Motion::Imposed(line), &mut |_, _, _, _| {});
-        (self.y[0], self.y[1]) = (d1, v1);
-        self.table = None;
-        let at = (self.time_s, 0.0);
-        let forces = self.system.rates(at, &self.y, &self.mode, &self.layout, Some(line.at(dt))).1;
-        self.response(&forces)
-    }
-
-    fn memory(&self) -> Vec<f64> {
-        self.remembering().into_iter().next().map(|range| self.y[range].to_vec()).unwrap_or_default()
-    }
-
-    fn recall(&mut self, memory: &[f64]) {
-        for range in self.remembering().into_iter().filter(|range| range.len() == memory.len()) {
-            self.y[range].copy_from_slice(memory);
-        }
-    }
-
-    fn retraces(&self) -> bool {
-        // What is in series with a joint moves otherwise than the mass.
-        let jointed = self.system.joint_half_width_m.is_some();
-        !jointed && self.system.isolator_terms.iter().any(|term| term.retraces())
-    }
-
-    fn retrace(&mut self, reversals_m: &mut dyn Iterator<Item = f64>, now: (f64, f64)) {
-        if !self.retraces() {
-            return;
-        }
-        self.at_rest = false;
-        for displacement_m in reversals_m.chain([now.0]) {
-            self.y[0] = displacement_m;
-            self.remember();
-        }
-        self.y[1] = now.1;
-        self.settle_mode();
-    }
-
-    fn prime(&mut self, table_acceleration_m_s2: f64) {
-        self.at_rest = false;
-        self.table = Some(table_acceleration_m_s2);
-    }
-
-    fn set_time_s(&mut self, time_s: f64) {
-        // Free tips have come back as far as before.
-        let shift = time_s - self.time_s;
-        self.mode.tips.iter_mut().for_each(|tip| tip.since_s += shift);
-        self.time_s = time_s;
     }
 }
