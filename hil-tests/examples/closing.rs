@@ -5,7 +5,7 @@
 //! `cargo run --release -p hil-tests --example closing -- target/release/shaketable --seed 4000 [--size 0.08] [--only NAME] [--keep FOLDER]`
 
 use hil_tests::arguments;
-use hil_tests::hidden::{self, Recipe, Shaking};
+use hil_tests::hidden::{self, Recipe};
 use serde_json::Value;
 use shaketable::model::{ModelSpec, effects};
 use std::path::{Path, PathBuf};
@@ -49,15 +49,7 @@ impl Bench {
     }
 
     fn close(&self, name: &str, seed: u64, size: f64) -> Result<bool, Failure> {
-        let recipe = Recipe {
-            seed,
-            effects: vec![name_of(name)?],
-            foreign: None,
-            size,
-            noise: 1.0,
-            shaking: Shaking::Sweep,
-        };
-        let Some(case) = hidden::make(&recipe) else {
+        let Some(case) = hidden::make(&Recipe::of(seed, &[name_of(name)?], size)) else {
             println!("{name}\tnot reached");
             return Ok(true);
         };

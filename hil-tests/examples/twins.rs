@@ -5,7 +5,7 @@
 //! `cargo run --release -p hil-tests --example twins -- --seeds 1000..1040 --size 0.02`
 
 use hil_tests::arguments;
-use hil_tests::hidden::{self, Hidden, Recipe, Shaking};
+use hil_tests::hidden::{self, Hidden, Recipe};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 use shaketable::diagnose::next_test::{self, Reach, SweepProposal};
@@ -38,9 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (mut cases, mut ambiguous, mut proposed, mut random) = (0, 0, 0, 0);
     for seed in seeds {
         let effect = only.unwrap_or_else(|| twins()[seed as usize % twins().len()]);
-        let recipe =
-            Recipe { seed, effects: vec![effect], foreign: None, size, noise: 1.0, shaking: Shaking::Sweep };
-        let Some(case) = hidden::make(&recipe) else {
+        let Some(case) = hidden::make(&Recipe::of(seed, &[effect], size)) else {
             println!("{seed}\t{effect}\tnot reached");
             continue;
         };

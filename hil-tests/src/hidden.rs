@@ -28,6 +28,13 @@ pub struct Recipe {
     pub shaking: Shaking,
 }
 
+impl Recipe {
+    /// A sweep of a specimen that carries effects of the catalogue, with the rig's usual noise.
+    pub fn of(seed: u64, effects: &[&'static str], size: f64) -> Self {
+        Self { seed, effects: effects.to_vec(), foreign: None, size, noise: 1.0, shaking: Shaking::Sweep }
+    }
+}
+
 /// How the table of a record moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shaking {

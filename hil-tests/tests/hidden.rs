@@ -10,12 +10,8 @@ use shaketable::record::data::ReadOptions;
 use std::path::Path;
 
 /// A sweep of an ordinary specimen, with the sensors' ordinary noise.
-fn recipe(seed: u64, effects: &[&'static str], size: f64) -> Recipe {
-    Recipe { seed, effects: effects.to_vec(), foreign: None, size, noise: 1.0, shaking: Shaking::Sweep }
-}
-
 fn case(seed: u64, effects: &[&'static str], size: f64) -> Diagnosis {
-    let case = hidden::make(&recipe(seed, effects, size)).expect("the effect reaches its size");
+    let case = hidden::make(&Recipe::of(seed, effects, size)).expect("the effect reaches its size");
     diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record")
 }
 
@@ -51,7 +47,7 @@ fn a_late_laser_is_an_instrument_and_no_physics() {
 
 #[test]
 fn records_of_two_gaps_are_diagnosed_together() {
-    let first = hidden::make(&recipe(5_000_302, &["hunt-crossley-damping"], 0.08))
+    let first = hidden::make(&Recipe::of(5_000_302, &["hunt-crossley-damping"], 0.08))
         .expect("the effect reaches its size");
     let second = hidden::again(&first, 0.004, 5_000_303).expect("a response");
     let tests = [(&first.record, &first.nominal), (&second.record, &second.nominal)];
@@ -70,7 +66,7 @@ type Fault = fn(&mut Record);
 
 #[test]
 fn what_is_wrong_with_a_record_is_named_before_any_physics() {
-    let case = hidden::make(&recipe(5_000_401, &[], 0.05)).expect("nothing to reach");
+    let case = hidden::make(&Recipe::of(5_000_401, &[], 0.05)).expect("nothing to reach");
     let faults: [(&str, Fault); 5] = [
         ("cycles of the input", |r| {
             r.step.truncate(2000);
@@ -100,7 +96,7 @@ fn what_is_wrong_with_a_record_is_named_before_any_physics() {
 #[test]
 fn a_force_that_no_effect_explains_is_outside_the_catalogue() {
     // A ripple over the displacement.
-    let recipe = Recipe { foreign: Some(0), ..recipe(5_000_201, &[], 0.12) };
+    let recipe = Recipe { foreign: Some(0), ..Recipe::of(5_000_201, &[], 0.12) };
     let case = hidden::make(&recipe).expect("the force reaches its size");
     let found = diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record");
     assert_eq!(found.verdict, Verdict::OutsideCatalogue, "{:?}", found.effects);
@@ -111,7 +107,7 @@ fn a_force_that_no_effect_explains_is_outside_the_catalogue() {
 #[test]
 fn a_record_driven_by_noise_is_judged_as_one_of_steps_is() {
     let of = |seed: u64, effects: &[&'static str]| {
-        let recipe = Recipe { shaking: Shaking::Noise, ..recipe(seed, effects, 0.05) };
+        let recipe = Recipe { shaking: Shaking::Noise, ..Recipe::of(seed, effects, 0.05) };
         let case = hidden::make(&recipe).expect("the effect reaches its size");
         let mut record = case.record.clone();
         // Without a displacement of the table, as most records of earthquakes are.
@@ -148,7 +144,7 @@ fn a_gain_is_told_by_the_response_where_the_kinematics_leave_it_open() {
     let found = case(5_000_603, &["laser-gain"], 0.05);
     let gain = &found.effects.first().filter(|e| e.name == "laser-gain").expect("named").parameters["gain"];
     assert!(gain.high95 - gain.low95 < 2e-3, "{gain:?}");
-    let meant = hidden::make(&recipe(5_000_603, &["laser-gain"], 0.05)).expect("made").truth.effects[0]
+    let meant = hidden::make(&Recipe::of(5_000_603, &["laser-gain"], 0.05)).expect("made").truth.effects[0]
         .parameters["gain"];
     assert!((gain.value - meant).abs() < gain.high95 - gain.low95, "{gain:?} {meant}");
 }
@@ -219,7 +215,7 @@ fn the_measured_damper_shows_memory_then_play() {
 
 #[test]
 fn an_effect_taken_out_of_the_catalogue_is_outside_it() {
-    let case = hidden::make(&recipe(5_000_507, &["stiffness-degradation"], 0.08))
+    let case = hidden::make(&Recipe::of(5_000_507, &["stiffness-degradation"], 0.08))
         .expect("the effect reaches its size");
     let without = hidden::with_twin("stiffness-degradation");
     let options = Options { without: without.clone(), ..Options::default() };
