@@ -9,7 +9,7 @@ use shaketable::record::Record;
 use shaketable::record::data::ReadOptions;
 use std::path::Path;
 
-/// A sweep of an ordinary specimen, with the sensors' ordinary noise.
+/// The diagnosis of an ordinary specimen's sweep.
 fn case(seed: u64, effects: &[&'static str], size: f64) -> Diagnosis {
     let case = hidden::make(&Recipe::of(seed, effects, size)).expect("the effect reaches its size");
     diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record")

@@ -43,6 +43,25 @@ pub struct Window {
     pub wave_noise_m_s2: f64,
 }
 
+impl Window {
+    /// A steady stretch that is fitted; what drives it and what it remembers is found out when all are known.
+    pub(super) fn steady(step: i32, frequency_hz: f64, warm_from: usize, range: Range<usize>) -> Self {
+        Self {
+            step,
+            frequency_hz,
+            warm_from,
+            reversals_m: Vec::new(),
+            range,
+            held_out: false,
+            settling: false,
+            random: false,
+            source: 0,
+            drive_noise_m_s2: 0.0,
+            wave_noise_m_s2: 0.0,
+        }
+    }
+}
+
 /// The motion of one record.
 #[derive(Clone, Debug)]
 pub struct Motion {

@@ -25,7 +25,7 @@ impl Motion {
     /// Tells a specimen that begins in the middle of a record, at sample `first` of a window's warming up, the reversals before; what the
     /// displacement lacks is `zero_m`.
     pub(super) fn retrace(&self, specimen: &mut dyn Specimen, window: &Window, first: usize, zero_m: f64) {
-        if first > self.sources[window.source].first && specimen.retraces() {
+        if first > self.sources[window.source].first {
             let now = (self.displacement_m[first - 1] + zero_m, self.velocity_m_s[first - 1]);
             specimen.retrace(&mut window.reversals_m.iter().map(|d| d + zero_m), now);
         }

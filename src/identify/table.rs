@@ -353,19 +353,7 @@ mod tests {
             .map(|cycles| 0.4 * (TAU * cycles).sin() + kick(cycles.fract()))
             .map(|a| a + NOISE_M_S2 * random.sample::<f64, _>(StandardNormal))
             .collect();
-        let window = Window {
-            step: 0,
-            frequency_hz: hz,
-            warm_from: 0,
-            range: 0..seen.len(),
-            held_out: false,
-            settling: false,
-            random: false,
-            source: 0,
-            reversals_m: Vec::new(),
-            drive_noise_m_s2: 0.0,
-            wave_noise_m_s2: 0.0,
-        };
+        let window = Window::steady(0, hz, 0, 0..seen.len());
         let (noise, drive) = drive_of(&window, &seen, RATE_HZ, NOISE_M_S2, &Left { crossover_rad_s: 0.0 });
         assert!(noise < 0.5 * NOISE_M_S2, "{noise} m/s2");
         let mean = drive.iter().sum::<f64>() / drive.len() as f64;

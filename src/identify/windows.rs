@@ -121,19 +121,7 @@ fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
     let start = back(counted);
     let warm_from = start.saturating_sub((WARM * cycle).round() as usize).max(range.start);
     let warm_from = from_the_middle(&motion.displacement_m, warm_from..start, cycle);
-    Some(Window {
-        step,
-        frequency_hz,
-        warm_from,
-        range: start..range.end,
-        held_out: false,
-        settling: false,
-        random: false,
-        source: 0,
-        reversals_m: Vec::new(),
-        drive_noise_m_s2: 0.0,
-        wave_noise_m_s2: 0.0,
-    })
+    Some(Window::steady(step, frequency_hz, warm_from, start..range.end))
 }
 
 /// Complex amplitude of a channel at a period of so many samples, its phase that at the first sample.
@@ -161,18 +149,11 @@ fn equal_parts(n: usize, motion: &Motion) -> Vec<Window> {
     let input = if motion.drive_m_s2.is_empty() { &motion.displacement_m } else { &motion.drive_m_s2 };
     let frequency_hz = main_frequency_hz(input, motion.sample_rate_hz).unwrap_or(1.0);
     (usize::from(parts > 4)..parts)
-        .map(|i| Window {
-            step: i as i32,
-            frequency_hz,
-            warm_from: (i * length).saturating_sub(2 * length),
-            range: i * length..(i + 1) * length,
-            held_out: false,
-            settling: false,
-            random: motion.kind == Kind::Base,
-            source: 0,
-            reversals_m: Vec::new(),
-            drive_noise_m_s2: 0.0,
-            wave_noise_m_s2: 0.0,
+        .map(|i| {
+            let (start, end) = (i * length, (i + 1) * length);
+            let warm_from = start.saturating_sub(2 * length);
+            let part = Window::steady(i as i32, frequency_hz, warm_from, start..end);
+            Window { random: motion.kind == Kind::Base, ..part }
         })
         .collect()
 }

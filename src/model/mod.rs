@@ -97,13 +97,8 @@ pub trait Specimen: Send {
     /// Puts such states in.
     fn recall(&mut self, _memory: &[f64]) {}
 
-    /// Something in it forgets a reversal of the motion only when this goes beyond it.
-    fn retraces(&self) -> bool {
-        false
-    }
-
-    /// Tells what does so the reversals so far (displacements in m, in their order) and puts the mass where it is now (m, m/s),
-    /// everything else undeformed. Other models stay as they are.
+    /// Tells what forgets a reversal of the motion only when this goes beyond it those so far (displacements in m, in their order) and
+    /// puts the mass where it is now (m, m/s), everything else undeformed. Other models stay as they are.
     fn retrace(&mut self, _reversals_m: &mut dyn Iterator<Item = f64>, _now: (f64, f64)) {}
 
     /// Moves the mass along an imposed motion by one sample interval (relative displacement m and

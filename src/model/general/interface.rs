@@ -93,14 +93,10 @@ impl<const N: usize> Specimen for General<N> {
         }
     }
 
-    fn retraces(&self) -> bool {
+    fn retrace(&mut self, reversals_m: &mut dyn Iterator<Item = f64>, now: (f64, f64)) {
         // What is in series with a joint moves otherwise than the mass.
         let jointed = self.system.joint_half_width_m.is_some();
-        !jointed && self.system.isolator_terms.iter().any(|term| term.retraces())
-    }
-
-    fn retrace(&mut self, reversals_m: &mut dyn Iterator<Item = f64>, now: (f64, f64)) {
-        if !self.retraces() {
+        if jointed || !self.system.isolator_terms.iter().any(|term| term.retraces()) {
             return;
         }
         self.at_rest = false;

@@ -165,7 +165,7 @@ impl<const N: usize> General<N> {
                 self.y = step.end;
                 t = if h == rest { duration } else { t + h };
                 self.commit();
-                let growth = 0.9 * fifth_root(excess.max(1e-6)).recip();
+                let growth = 0.9 / fifth_root(excess.max(1e-6));
                 self.preferred_s = (h * growth.clamp(0.2, 5.0)).max(if h == rest {
                     self.preferred_s.min(h * 5.0)
                 } else {
