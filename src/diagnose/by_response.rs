@@ -10,6 +10,7 @@ use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
 use crate::identify::refit::Refit;
 use crate::identify::response::{Laid, Measured, Score, Tangent};
+use crate::model;
 use crate::model::effects::Effect;
 use crate::model::{EffectSpec, ModelSpec, Scales};
 use crate::parallel;
@@ -239,9 +240,10 @@ impl Searcher<'_> {
                 let fainter = |start: &EffectSpec, factor: f64| candidates::fainter(start, factor, scales);
                 let (start, score) = to_first_order(&tangent, start.clone(), with, fainter)?;
                 let (scaled, scale) = candidates::scaled(&start, score.scale, scales)?;
-                // The model's own numbers follow.
-                let spec = from.refit.numbers.moved(with(&scaled), &score.followed, scale)?;
-                Some((score.nats, spec))
+                // The model's own numbers follow, where that leaves a model that there can be.
+                let moved = from.refit.numbers.moved(with(&scaled), &score.followed, scale)?;
+                let can_be = model::build(&moved, self.motion.dt_s()).is_ok();
+                Some((score.nats, if can_be { moved } else { with(&scaled) }))
             });
             first = scored.into_iter().flatten().collect();
             first.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -260,8 +262,16 @@ impl Searcher<'_> {
         first.retain(|(nats, spec)| {
             let name = spec.effects.last().map(|e| e.name.clone()).unwrap_or_default();
             let another = effects.contains(&name);
+            // Beside an effect and yet far off, first order says little of those that a short fit tells of soon.
+            let soon = far
+                && !from.names.is_empty()
+                && spec.effects.last().is_some_and(|effect| effect.parameters.len() == 1);
             let goes_on = effects.is_empty()
-                || if another { *nats > ANOTHER * best } else { effects.len() < SCORED && *nats > worth };
+                || if another {
+                    *nats > ANOTHER * best
+                } else {
+                    soon || effects.len() < SCORED && *nats > worth
+                };
             if goes_on && !another {
                 effects.push(name);
             }

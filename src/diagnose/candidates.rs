@@ -122,9 +122,11 @@ fn grown(start: &EffectSpec, leading: &Parameter, factor: f64, scales: &Scales) 
     }
     let value = spec.parameters.get_mut(leading.name)?;
     *value = if leading.in_series { *value / factor } else { *value * factor };
-    // A stand rings as fast as before, a lighter one where it is softer.
-    if let ("stand-compliance", Some(mass)) = (start.name.as_str(), spec.parameters.get_mut("ms_kg")) {
-        *mass /= factor;
+    // A stand rings as fast as before, a lighter one where it is softer; breakaway friction stays as far above the sliding one.
+    match start.name.as_str() {
+        "stand-compliance" => spec.parameters.get_mut("ms_kg").into_iter().for_each(|mass| *mass /= factor),
+        "stribeck-friction" => spec.parameters.get_mut("fs_n").into_iter().for_each(|fs| *fs *= factor),
+        _ => {}
     }
     Some(spec)
 }

@@ -393,10 +393,14 @@ impl<'a> Searcher<'a> {
                 best_first(&mut stage.finalists, &from);
             }
             // A pair may also grow from the second best: greedy search alone can start wrong. Where the response decides, the first of
-            // a pair is exchanged below.
+            // a pair is exchanged below; unless nothing brings anything beside the best, although it is far off.
             let enough_said =
                 |best: &Trial| best.share_left(&search.base) < enough || best.excess() < thresholds.excess;
-            let greedy = from.response.is_none() && !stage.finalists.first().is_some_and(enough_said);
+            let greedy = if from.response.is_some() {
+                from.is_far() && !stage.finalists.iter().any(|t| verdict::brings(t, &from, thresholds))
+            } else {
+                !stage.finalists.first().is_some_and(enough_said)
+            };
             let second = search.stages.first().and_then(|s| s.finalists.get(1));
             if let (1, true, Some(second)) = (depth, greedy, second) {
                 stage.finalists.extend(self.stage(second).finalists);
