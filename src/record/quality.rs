@@ -177,7 +177,8 @@ fn constant(role: Role, (low, high): (f64, f64)) -> Option<Finding> {
 
 /// A saturated sensor has many samples at exactly its largest (or smallest) value and few just below:
 /// of a sine that is cut at 99 %, 0.8 times as many at the top as in the 2 % of the range below; of a
-/// whole one, however coarsely quantised, 0.3 times at most when the band is 16 steps wide at least.
+/// whole one, however coarsely quantised, 0.3 times at most when the band is 16 steps wide at least. What comes to rest there, as a
+/// mass held by friction does, was slow before.
 fn saturated(record: &Record, role: Role, values: &[f64], (low, high): (f64, f64)) -> Option<Finding> {
     let at = [high, low].map(|extreme| values.iter().map(|x| usize::from(*x == extreme)).sum::<usize>());
     if at.iter().all(|count| *count < FEWEST_AT_THE_EDGE) {
@@ -194,7 +195,11 @@ fn saturated(record: &Record, role: Role, values: &[f64], (low, high): (f64, f64
             near[side] += usize::from(distance > 0.0 && distance < band);
         }
     }
-    let cut = |side: usize| at[side] >= FEWEST_AT_THE_EDGE && at[side] as f64 > 0.6 * near[side] as f64;
+    let cut = |side: usize| {
+        at[side] >= FEWEST_AT_THE_EDGE
+            && at[side] as f64 > 0.6 * near[side] as f64
+            && !comes_to_rest(values, [high, low][side])
+    };
     if !cut(0) && !cut(1) {
         return None;
     }
@@ -213,8 +218,27 @@ fn saturated(record: &Record, role: Role, values: &[f64], (low, high): (f64, f64
     Some(Finding::new(severity, Problem::Saturated, Some(role), text, share))
 }
 
+/// Speed at which a channel comes to rest, over its usual one; what is cut off arrives faster.
+const SLOW: f64 = 0.03;
+
+/// Whether a channel is slow before it sits at a value: the median over its stays there.
+fn comes_to_rest(values: &[f64], level: f64) -> bool {
+    const BEFORE: usize = 3;
+    let squares: f64 = values.windows(2).map(|two| (two[1] - two[0]).powi(2)).sum();
+    let usual = (squares / values.len().max(1) as f64).sqrt();
+    let (mut first, mut speeds) = (0, Vec::new());
+    for run in values.chunk_by(|a, b| a == b) {
+        if run[0] == level && run.len() >= BEFORE && first >= BEFORE {
+            speeds.push((level - values[first - BEFORE]).abs() / BEFORE as f64);
+        }
+        first += run.len();
+    }
+    speeds.sort_by(f64::total_cmp);
+    speeds.get(speeds.len() / 2).is_some_and(|speed| *speed < SLOW * usual)
+}
+
 /// Smallest difference between neighbours, the step of a converter; rounding of doubles is none.
-fn quantum(values: &[f64], range: f64) -> f64 {
+pub(crate) fn quantum(values: &[f64], range: f64) -> f64 {
     let least = 1e-9 * range;
     values
         .windows(2)

@@ -62,6 +62,24 @@ fn coarse_quantisation_is_no_saturation() {
 }
 
 #[test]
+fn a_mass_that_comes_to_rest_at_its_farthest_is_not_cut_off() {
+    // Moved to and fro and held by friction in between, by an encoder of 1 um.
+    let mut record = Record::empty("axis", Kind::Force, 1000.0);
+    for i in 0..8000 {
+        let part = (f64::from(i % 2000) / 1000.0).min(1.0);
+        let way = part * part * (3.0 - 2.0 * part);
+        let place = if (i / 2000) % 2 == 0 { way } else { 1.0 - way };
+        record.time_s.push(f64::from(i) / 1000.0);
+        record.displacement_m.push((0.2 * place / 1e-6).round() * 1e-6);
+        record.force_n.push((0.001 * f64::from(i * i % 997)).sin());
+    }
+    let saturated = |record: &Record| named(record).iter().any(|(problem, _)| *problem == Problem::Saturated);
+    assert!(!saturated(&record), "{:?}", named(&record));
+    record.displacement_m.iter_mut().for_each(|d| *d = d.min(0.15));
+    assert!(saturated(&record), "{:?}", named(&record));
+}
+
+#[test]
 fn signs_are_named() {
     for role in [
         Role::TableAcceleration,
