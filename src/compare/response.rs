@@ -2,6 +2,7 @@
 
 use super::CompareError;
 use super::window::Window;
+use crate::identify::spectral::{along_straight_lines, held_1_s2};
 use crate::model::system::System;
 use crate::model::{ModelSpec, Observer, Regime, Specimen, build};
 use crate::record::{Kind, Record};
@@ -59,6 +60,8 @@ pub struct Measured {
     pub mass_kg: f64,
     /// Table acceleration that drives the model, m/s2; empty for `component`.
     pub drive: Vec<f64>,
+    /// The same as a solver that joins samples by lines is to be given it; empty where that makes no difference.
+    lines: Vec<f64>,
     /// Noise of the two sensors that tell the motion of the table together; absent where the accelerometer alone does.
     pub table: Option<TableNoise>,
     /// Acceleration, m/s2.
@@ -108,7 +111,18 @@ impl Measured {
         let cycle = windows.iter().filter(|w| w.frequency_hz.is_some()).map(|w| w.cycle_samples(rate)).min();
         let cycle = cycle.unwrap_or_else(|| typical_cycle(if d.is_empty() { &a } else { &d }));
         let d = if record.kind == Kind::Component { d } else { without_offset(d, notes) };
-        Ok(Self { kind: record.kind, dt_s: 1.0 / rate, mass_kg, drive, table, a, d, cycle })
+        let lines = if record.kind == Kind::Force {
+            // Its sign is the table's.
+            let held = if d.is_empty() {
+                0.0
+            } else {
+                held_1_s2(&drive.iter().map(|a| -a).collect::<Vec<_>>(), &d, rate)
+            };
+            along_straight_lines(&drive, rate, held)
+        } else {
+            Vec::new()
+        };
+        Ok(Self { kind: record.kind, dt_s: 1.0 / rate, mass_kg, drive, lines, table, a, d, cycle })
     }
 
     /// Number of samples.
@@ -257,8 +271,9 @@ struct Run<'a> {
 
 impl Run<'_> {
     fn drive(&self, sample: usize) -> f64 {
+        let Measured { drive, lines, .. } = self.measured;
         let noise = self.drive_noise.get(sample).copied().unwrap_or(0.0);
-        self.measured.drive.get(sample).copied().unwrap_or(0.0) + noise
+        lines.get(sample).or(drive.get(sample)).copied().unwrap_or(0.0) + noise
     }
 
     fn impose(&mut self, range: Range<usize>) {
@@ -283,7 +298,7 @@ impl Run<'_> {
         let seen = self.observer.observe(response);
         let mean = 0.5 * (seen.mass_acceleration_1_m_s2 + seen.mass_acceleration_2_m_s2);
         let a = match self.measured.kind {
-            Kind::Force => mean - self.drive(sample),
+            Kind::Force => mean - self.measured.drive.get(sample).copied().unwrap_or(0.0),
             Kind::Base => mean,
             // A force sensor knows nothing of the accelerometers' effects.
             Kind::Component => response.mass_acceleration_m_s2,

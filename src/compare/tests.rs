@@ -169,9 +169,15 @@ fn a_component_is_judged_by_its_force_at_any_magnitude() {
 fn an_applied_force_gives_displacement_and_acceleration() {
     let spec = oscillator(2.0, 2000.0, 8.0);
     let mut record = Record::empty("force", Kind::Force, RATE);
-    let mut specimen = build(&spec, 1.0 / RATE).expect("valid");
+    // A force that is smooth between the samples.
+    const FINE: usize = 32;
+    let mut specimen = build(&spec, 1.0 / (RATE * FINE as f64)).expect("valid");
     for i in 0..(20.0 * RATE) as usize {
-        let force = 3.0 * (TAU * 4.0 * i as f64 / RATE).sin();
+        let at = |k: usize| 3.0 * (TAU * 4.0 * k as f64 / (RATE * FINE as f64)).sin();
+        for k in (i * FINE + 1).saturating_sub(FINE)..i * FINE {
+            specimen.step(-at(k) / 2.0);
+        }
+        let force = at(i * FINE);
         let response = specimen.step(-force / 2.0);
         record.time_s.push(i as f64 / RATE);
         record.force_n.push(force);

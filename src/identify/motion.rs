@@ -6,12 +6,14 @@
 //! accelerometers are fused: the laser counts below, the twice integrated accelerations above the
 //! frequency where their noises are equal (a Wiener filter, zero phase).
 
+use super::fused::{differentiate, fuse, integrate};
 use super::kinematics::{self, Instruments, Tolerances};
-use super::spectral::{Spectrum, white_noise_rms};
+use super::spectral::{Spectrum, along_straight_lines, held_1_s2, stretches_noise_rms, white_noise_rms};
 use super::table::Table;
 use super::together::Source;
 use super::windows;
-use crate::parallel;
+use crate::model::ModelSpec;
+use crate::record::quality::quantum;
 use crate::record::{Kind, Record};
 use realfft::num_complex::Complex64;
 use std::ops::Range;
@@ -67,6 +69,8 @@ impl Window {
 pub struct Motion {
     /// Kind of the record.
     pub kind: Kind,
+    /// Mass that the motion was made with, kg.
+    pub mass_kg: f64,
     /// Sampling rate, Hz.
     pub sample_rate_hz: f64,
     /// The records that it consists of, one unless several were put together.
@@ -87,6 +91,11 @@ pub struct Motion {
     pub table_crossover_rad_s: f64,
     /// Deviation of the gain between both.
     pub table_gain_sigma: f64,
+    /// Whether the acceleration was measured, or is the second derivative of the displacement and says nothing beside it. Of a component
+    /// record: whether the force was.
+    pub sees_acceleration: bool,
+    /// Noise of the sensor that tells what drives a simulation, m/s2 rms a sample.
+    pub drive_noise_m_s2: f64,
     /// Noise of the restoring force over the mass, m/s2 rms a sample.
     pub restoring_noise_m_s2: f64,
     /// Noise of the laser, m rms a sample.
@@ -121,6 +130,12 @@ pub enum MotionError {
 }
 
 const FEWEST: usize = 256;
+/// No chain of sensor and converter is straight to better than this, over the rms of what it shows.
+const FINEST: f64 = 1e-6;
+/// Noise over the rms of a force from which on the upper part of the spectrum is taken for force, and what its sensor's noise is then
+/// taken to be.
+const FILLED: f64 = 0.3;
+const UNKNOWN: f64 = 2e-3;
 
 impl Motion {
     /// Corrects, fuses and cuts a record.
@@ -162,6 +177,7 @@ impl Motion {
             Kind::Force => forced(record, mass_kg)?,
             Kind::Component => component(record)?,
         };
+        motion.mass_kg = mass_kg;
         motion.windows = windows::cut(record, &motion, farthest);
         motion.note_reversals();
         motion.remove_acceleration_zeros();
@@ -172,6 +188,16 @@ impl Motion {
     /// Sample period, s.
     pub fn dt_s(&self) -> f64 {
         1.0 / self.sample_rate_hz
+    }
+
+    /// What drives a simulation of a model over what drives it for the mass that the motion was made with: a force drives a heavier mass
+    /// less.
+    pub(super) fn driven_by(&self, spec: &ModelSpec) -> f64 {
+        let errors = spec.effects.iter().filter_map(|effect| effect.parameters.get("dm_kg"));
+        match self.kind {
+            Kind::Force => self.mass_kg / (spec.mass_kg + errors.sum::<f64>()),
+            Kind::Base | Kind::Component => 1.0,
+        }
     }
 
     /// RMS of the restoring force over the mass in the windows, m/s2.
@@ -236,6 +262,10 @@ impl Motion {
     }
 }
 
+fn rms(x: &[f64]) -> f64 {
+    (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt()
+}
+
 fn channel<'a>(record: &Record, values: &'a [f64], channel: &'static str) -> Result<&'a [f64], MotionError> {
     let kind = match record.kind {
         Kind::Base => "base",
@@ -298,6 +328,7 @@ fn base(record: &Record, found: Option<Instruments>) -> Result<Motion, MotionErr
         table_crossover_rad_s: both.crossover_rad_s,
         table_gain_sigma: both.gain_sigma,
         laser_m: laser,
+        drive_noise_m_s2: i.table_noise_m_s2,
         restoring_noise_m_s2: noise_mass,
         laser_noise_m,
         instruments: found,
@@ -310,7 +341,12 @@ fn forced(record: &Record, mass_kg: f64) -> Result<Motion, MotionError> {
     let force = channel(record, &record.force_n, "force_n")?;
     let displacement = channel(record, &record.displacement_m, "displacement_m").ok();
     let acceleration = channel(record, &record.acceleration_m_s2, "acceleration_m_s2").ok();
-    let noise = |x: &[f64]| white_noise_rms(&Spectrum::of(x, rate), 0.6, 0.95);
+    // A converter's steps are noise, too, of which a mass at rest shows nothing.
+    let noise = |x: &[f64]| {
+        let (low, high) =
+            x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
+        stretches_noise_rms(x, rate).max(FINEST * rms(x)).max(quantum(x, high - low) / 12f64.sqrt())
+    };
     let fused = match (displacement, acceleration) {
         (Some(d), Some(a)) => fuse(d, noise(d), a, noise(a), rate),
         (Some(d), None) => differentiate(d, noise(d), rate),
@@ -322,18 +358,24 @@ fn forced(record: &Record, mass_kg: f64) -> Result<Motion, MotionError> {
             });
         }
     };
-    let acceleration = match acceleration {
-        Some(a) => a.to_vec(),
-        None => fused.acceleration_m_s2.clone(),
+    let (seen, noise_acceleration) = match acceleration {
+        Some(a) => (a.to_vec(), noise(a)),
+        None => (fused.acceleration_m_s2.clone(), fused.acceleration_noise_m_s2),
     };
-    let drive: Vec<f64> = force.iter().map(|f| -f / mass_kg).collect();
-    let noise_force = noise(force) / mass_kg;
-    let noise_acceleration = fused.acceleration_noise_m_s2;
+    let over_mass: Vec<f64> = force.iter().map(|f| f / mass_kg).collect();
+    // A force that fills the whole band leaves nothing to tell the noise of its sensor by.
+    let drive_noise_m_s2 = match noise(&over_mass) {
+        hiss if hiss < FILLED * rms(&over_mass) => hiss,
+        _ => UNKNOWN * rms(&over_mass),
+    };
+    let held = held_1_s2(&over_mass, &fused.displacement_m, rate);
     Ok(Motion {
-        restoring_m_s2: acceleration.iter().zip(&drive).map(|(a, d)| -d - a).collect(),
-        drive_m_s2: drive,
+        restoring_m_s2: over_mass.iter().zip(&seen).map(|(f, a)| f - a).collect(),
+        drive_m_s2: along_straight_lines(&over_mass, rate, held).into_iter().map(|f| -f).collect(),
         laser_m: displacement.map(<[f64]>::to_vec).unwrap_or_default(),
-        restoring_noise_m_s2: noise_force.hypot(noise_acceleration),
+        sees_acceleration: acceleration.is_some(),
+        drive_noise_m_s2,
+        restoring_noise_m_s2: drive_noise_m_s2.hypot(noise_acceleration),
         laser_noise_m: displacement.map(noise).unwrap_or(0.0),
         ..fused.motion(record)
     })
@@ -351,118 +393,4 @@ fn component(record: &Record) -> Result<Motion, MotionError> {
         laser_noise_m: noise(displacement),
         ..fused.motion(record)
     })
-}
-
-/// Displacement and its derivatives with their noise.
-pub(super) struct Fused {
-    displacement_m: Vec<f64>,
-    velocity_m_s: Vec<f64>,
-    pub(super) acceleration_m_s2: Vec<f64>,
-    displacement_noise_m: f64,
-    velocity_noise_m_s: f64,
-    acceleration_noise_m_s2: f64,
-}
-
-impl Fused {
-    fn motion(self, record: &Record) -> Motion {
-        Motion {
-            kind: record.kind,
-            sample_rate_hz: record.sample_rate_hz,
-            sources: vec![Source {
-                start_s: record.time_s.first().copied().unwrap_or(0.0),
-                ..Source::default()
-            }],
-            displacement_m: self.displacement_m,
-            velocity_m_s: self.velocity_m_s,
-            restoring_m_s2: Vec::new(),
-            drive_m_s2: Vec::new(),
-            laser_m: Vec::new(),
-            windows: Vec::new(),
-            table_crossover_rad_s: 0.0,
-            table_gain_sigma: 0.0,
-            restoring_noise_m_s2: 0.0,
-            laser_noise_m: 0.0,
-            displacement_noise_m: self.displacement_noise_m,
-            velocity_noise_m_s: self.velocity_noise_m_s,
-            instruments: None,
-        }
-    }
-}
-
-/// Wiener fusion: weight of the displacement `1/(1 + (w/wc)^4)`, `wc = (sa/sd)^(1/2)`.
-pub(super) fn fuse(displacement: &[f64], sd: f64, acceleration: &[f64], sa: f64, rate: f64) -> Fused {
-    let crossover = (sa.max(1e-300) / sd.max(1e-300)).sqrt();
-    let low = |w: f64| 1.0 / (1.0 + (w / crossover).powi(4));
-    let mut laser = Spectrum::of(displacement, rate);
-    let inertial = Spectrum::of(acceleration, rate)
-        .multiply(|w| if w > 0.0 { Complex64::from(-(1.0 - low(w)) / (w * w)) } else { Complex64::ZERO });
-    laser = laser.multiply(|w| Complex64::from(low(w))).add(&inertial);
-    derivatives(&laser, |w| {
-        let sum = sd.powi(2) * low(w).powi(2);
-        if w > 0.0 { sum + (sa * (1.0 - low(w)) / (w * w)).powi(2) } else { sum }
-    })
-}
-
-/// Displacement alone: low-passed where its noise reaches the signal, then differentiated.
-fn differentiate(displacement: &[f64], sd: f64, rate: f64) -> Fused {
-    let spectrum = Spectrum::of(displacement, rate);
-    let cut = signal_end_rad_s(&spectrum, sd);
-    let low = move |w: f64| 1.0 / (1.0 + (w / cut).powi(8));
-    derivatives(&spectrum.multiply(|w| Complex64::from(low(w))), |w| (sd * low(w)).powi(2))
-}
-
-/// Acceleration alone: integrated above a tenth of the main frequency.
-fn integrate(acceleration: &[f64], sa: f64, rate: f64) -> Fused {
-    let spectrum = Spectrum::of(acceleration, rate);
-    let total: f64 = spectrum.bins.iter().skip(1).map(|z| z.norm_sqr()).sum();
-    let mut sum = 0.0;
-    let main = (1..spectrum.bins.len()).find(|&bin| {
-        sum += spectrum.bins[bin].norm_sqr();
-        sum > 0.01 * total
-    });
-    let low_cut = 0.3 * spectrum.omega_rad_s(main.unwrap_or(1)).max(1e-9);
-    let high = move |w: f64| {
-        let h = (w / low_cut).powi(6);
-        h / (1.0 + h)
-    };
-    let weight = move |w: f64| if w > 0.0 { -high(w) / (w * w) } else { 0.0 };
-    derivatives(&spectrum.multiply(|w| Complex64::from(weight(w))), |w| (sa * weight(w)).powi(2))
-}
-
-/// The channel, its first and second derivative, and their noise from a density a bin.
-fn derivatives(spectrum: &Spectrum, density: impl Fn(f64) -> f64 + Sync) -> Fused {
-    let bins = spectrum.bins.len();
-    let derived = parallel::map(&[0, 1, 2], parallel::cores(), |&order: &i32| {
-        let at = |b: usize| spectrum.omega_rad_s(b);
-        let sum: f64 = (0..bins).map(at).map(|w| density(w) * w.powi(2 * order)).sum();
-        let derived = match order {
-            0 => spectrum.clone(),
-            1 => spectrum.clone().multiply(|w| Complex64::new(0.0, w)),
-            _ => spectrum.clone().multiply(|w| Complex64::from(-w * w)),
-        };
-        (derived.channel(), (sum / bins as f64).sqrt())
-    });
-    let [displacement, velocity, acceleration] = <[_; 3]>::try_from(derived).unwrap_or_default();
-    Fused {
-        displacement_m: displacement.0,
-        velocity_m_s: velocity.0,
-        acceleration_m_s2: acceleration.0,
-        displacement_noise_m: displacement.1,
-        velocity_noise_m_s: velocity.1,
-        acceleration_noise_m_s2: acceleration.1,
-    }
-}
-
-/// Highest angular frequency at which the smoothed spectrum stands above the noise.
-fn signal_end_rad_s(spectrum: &Spectrum, noise: f64) -> f64 {
-    let floor = 4.0 * spectrum.bins.len() as f64 * 2.0 * noise * noise;
-    let width = (spectrum.bins.len() / 400).max(4);
-    let mut end = width;
-    for (i, chunk) in spectrum.bins.chunks(width).enumerate() {
-        let mean = chunk.iter().map(|z| z.norm_sqr()).sum::<f64>() / chunk.len() as f64;
-        if mean > floor {
-            end = (i + 1) * width;
-        }
-    }
-    spectrum.omega_rad_s(end.min(spectrum.bins.len() - 1)).max(spectrum.omega_rad_s(1))
 }

@@ -3,6 +3,7 @@
 use super::least_squares::Free;
 use crate::model::effects::{self, Parameter, Place, Sign};
 use crate::model::{ModelSpec, Scales};
+use crate::record::Kind;
 
 /// Share of a 95 % half-width that is one standard deviation.
 const SIGMA: f64 = 1.0 / 1.96;
@@ -28,15 +29,19 @@ pub struct Numbers {
 }
 
 impl Numbers {
-    /// The base model's numbers but the mass (only F/M is fixed by a base record), each within
-    /// what the model file says of it, or the defaults: slopes 10 %, knees 6 %, damping 10 %,
+    /// The base model's numbers (the mass where a measured force drives it: of a base record only F/M is fixed), each within
+    /// what the model file says of it, or the defaults: mass 5 %, slopes 10 %, knees 6 %, damping 10 %,
     /// bumper stiffness 10 % and damping 12 %, gap 2 % (95 % half-widths).
-    pub fn of_base(nominal: &ModelSpec) -> Self {
+    pub fn of_base(nominal: &ModelSpec, kind: Kind) -> Self {
         let mut out = Self::default();
         let u = nominal.uncertainty.clone().unwrap_or_default();
+        if kind == Kind::Force {
+            out.relative("mass_kg", nominal.mass_kg, u.mass_kg.unwrap_or(0.05));
+        }
         let isolator = u.isolator.unwrap_or_default();
         let slope = |i: usize| isolator.stiffness_n_m.get(i).or(isolator.stiffness_n_m.last()).copied();
-        let unloaded = nominal.isolator.stiffness_n_m.iter().all(|k| *k == 0.0);
+        // What drags a mass that nothing holds back is a guess as good as any.
+        let unloaded = kind == Kind::Component && nominal.isolator.stiffness_n_m.iter().all(|k| *k == 0.0);
         for (i, k) in nominal.isolator.stiffness_n_m.iter().enumerate() {
             // A slope of zero is a statement (a friction device has no spring), not a guess.
             if *k != 0.0 {

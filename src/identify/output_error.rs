@@ -46,10 +46,10 @@ impl OutputError {
 
     /// NRMSE that stands in reports: the mean square of A's and D's where both were measured.
     pub fn nrmse(&self) -> f64 {
-        if self.power_d > 0.0 {
-            (0.5 * (self.nrmse_a().powi(2) + self.nrmse_d().powi(2))).sqrt()
-        } else {
-            self.nrmse_a()
+        match (self.power_a > 0.0, self.power_d > 0.0) {
+            (true, true) => (0.5 * (self.nrmse_a().powi(2) + self.nrmse_d().powi(2))).sqrt(),
+            (false, true) => self.nrmse_d(),
+            _ => self.nrmse_a(),
         }
     }
 

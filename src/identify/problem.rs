@@ -166,6 +166,8 @@ impl<'a> Problem<'a> {
             imposed[k - 1] |= imposed[k] && follows;
         }
         let mut specimens = self.specimens(spec, motion.dt_s() * self.thin as f64)?;
+        // What a force over another mass would have been.
+        let lighter = 1.0 - motion.driven_by(spec);
         let mut out = Vec::with_capacity(motion.windows.len());
         let mut at = (usize::MAX, 0);
         for (window, imposed) in windows.iter().zip(imposed) {
@@ -184,7 +186,8 @@ impl<'a> Problem<'a> {
             let mut n = from;
             while n < window.range.end {
                 let response = specimen.impose(motion.displacement_m[n] + shift_m, motion.velocity_m_s[n]);
-                forces.push(-response.mass_acceleration_m_s2);
+                let more = if lighter == 0.0 { 0.0 } else { lighter * motion.drive_m_s2[n] };
+                forces.push(-response.mass_acceleration_m_s2 - more);
                 n += self.thin;
             }
             at = (n, window.source);
@@ -334,11 +337,12 @@ impl<'a> Problem<'a> {
     }
 
     /// Simulates a window from the measured state and hands every counted sample to `each` as
-    /// (sample, simulated A, simulated D as the laser would see it). Hidden states are warmed up along the measured motion;
+    /// (sample, simulated A, simulated D as the laser would see it), driven by a share of what drove the motion. Hidden states are warmed up along the measured motion;
     /// the first cycles of the simulation are left to settle where there is room.
     pub fn simulate(
         &self,
         specimen: &mut dyn Specimen,
+        share: f64,
         window: &Window,
         shift_m: f64,
         mut each: impl FnMut(usize, f64, f64),
@@ -350,17 +354,19 @@ impl<'a> Problem<'a> {
         specimen.reset();
         specimen.set_time_s(self.time_s(window, window.warm_from));
         motion.retrace(specimen, window, window.warm_from, shift_m);
+        let drive = |n: usize| share * motion.drive_m_s2[n];
         for n in window.warm_from..free_from {
             specimen.impose(motion.displacement_m[n] + shift_m, motion.velocity_m_s[n]);
         }
         // The input at the start of the first free step.
         if free_from > 0 {
-            specimen.prime(motion.drive_m_s2[free_from - 1]);
+            specimen.prime(drive(free_from - 1));
         }
         for n in free_from..window.range.end {
-            let response = specimen.step(motion.drive_m_s2[n]);
+            let response = specimen.step(drive(n));
             if n >= window.range.start {
-                each(n, response.mass_acceleration_m_s2, response.relative_displacement_m - shift_m);
+                let a = response.mass_acceleration_m_s2 + motion.drive_m_s2[n] - drive(n);
+                each(n, a, response.relative_displacement_m - shift_m);
             }
         }
     }
@@ -382,6 +388,7 @@ impl<'a> Problem<'a> {
             return self.force_residuals(spec, shift_m, part, out);
         }
         let Some(mut specimens) = self.specimens(spec, motion.dt_s()) else { return false };
+        let share = motion.driven_by(spec);
         let (sa, sd) = (motion.restoring_noise_m_s2.max(1e-300), motion.laser_noise_m.max(1e-300));
         let mut laser = Vec::new();
         let full = motion.windows.iter().filter(|w| part.takes(w) && part != Part::Brief);
@@ -389,9 +396,11 @@ impl<'a> Problem<'a> {
         for window in full.chain(brief) {
             let begin = out.len();
             laser.clear();
-            self.simulate(&mut *specimens[window.source], window, shift_m, |n, a, d| {
+            self.simulate(&mut *specimens[window.source], share, window, shift_m, |n, a, d| {
                 if (n - window.range.start) % stride == 0 {
-                    out.push((-motion.restoring_m_s2[n] - a) / sa);
+                    if motion.sees_acceleration {
+                        out.push((-motion.restoring_m_s2[n] - a) / sa);
+                    }
                     if !motion.laser_m.is_empty() {
                         laser.push((motion.laser_m[n] - d) / sd);
                     }
@@ -451,13 +460,16 @@ impl<'a> Problem<'a> {
             return Some(windows.map(force).collect());
         }
         let mut specimens = self.specimens(spec, motion.dt_s())?;
+        let share = motion.driven_by(spec);
         let response = |(k, window): (usize, &Window)| {
             let mut error = OutputError::default();
             let laser = motion.laser_m.get(window.range.clone()).unwrap_or(&[]);
             let mean = laser.iter().sum::<f64>() / laser.len().max(1) as f64;
-            self.simulate(&mut *specimens[window.source], window, shift_m, |n, a, d| {
-                error.sum_a += (-motion.restoring_m_s2[n] - a).powi(2);
-                error.power_a += motion.restoring_m_s2[n].powi(2);
+            self.simulate(&mut *specimens[window.source], share, window, shift_m, |n, a, d| {
+                if motion.sees_acceleration {
+                    error.sum_a += (-motion.restoring_m_s2[n] - a).powi(2);
+                    error.power_a += motion.restoring_m_s2[n].powi(2);
+                }
                 if let Some(measured) = motion.laser_m.get(n) {
                     error.sum_d += (measured - d).powi(2);
                     error.power_d += (measured - mean).powi(2);

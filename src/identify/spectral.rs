@@ -4,6 +4,7 @@
 //! channels are exact multiplications there. The ends are extended by odd reflection, so that a
 //! channel that starts or ends in motion does not ring.
 
+use crate::signal::hann;
 use realfft::{RealFftPlanner, num_complex::Complex64};
 use std::f64::consts::TAU;
 
@@ -23,7 +24,7 @@ impl Spectrum {
     pub fn of(channel: &[f64], sample_rate_hz: f64) -> Self {
         let samples = channel.len();
         let padding = ((2.0 * sample_rate_hz) as usize).min(samples.saturating_sub(1));
-        let length = fast_length(samples + 2 * padding);
+        let length = fast_length(samples + 2 * padding + padding / 4);
         let mut extended = Vec::with_capacity(length);
         let (first, last) = match (channel.first(), channel.last()) {
             (Some(first), Some(last)) => (*first, *last),
@@ -32,7 +33,7 @@ impl Spectrum {
         extended.extend((1..=padding).rev().map(|i| 2.0 * first - channel[i]));
         extended.extend_from_slice(channel);
         extended.extend((1..=padding).map(|i| 2.0 * last - channel[samples - 1 - i]));
-        // What is left of the fast length joins the two ends smoothly.
+        // The rest joins the two ends smoothly, and long enough: a channel that ends elsewhere than it began has no noise from that.
         let (tail, head) =
             (extended.last().copied().unwrap_or(0.0), extended.first().copied().unwrap_or(0.0));
         let fill = length - extended.len();
@@ -137,7 +138,80 @@ pub fn white_noise_rms(spectrum: &Spectrum, low: f64, high: f64) -> f64 {
     let middle = power.len() / 2;
     let (_, median, _) = power.select_nth_unstable_by(middle, f64::total_cmp);
     // |X|^2 of white noise is exponential with mean N sigma^2, and its median is ln 2 of the mean.
-    (*median / std::f64::consts::LN_2 / spectrum.length as f64).sqrt()
+    let noisy = spectrum.samples + 2 * spectrum.padding;
+    (*median / std::f64::consts::LN_2 / noisy as f64).sqrt()
+}
+
+/// Samples of a stretch of [`stretches_noise_rms`], and stretches at most.
+const STRETCH: usize = 4096;
+const STRETCHES: usize = 32;
+
+/// Parts of the upper band, over the Nyquist frequency: the quietest but one tells the noise, which a harmonic may fill in another, or a
+/// filter have taken out.
+const PARTS_OF_BAND: [(f64, f64); 5] = [(0.6, 0.67), (0.67, 0.74), (0.74, 0.81), (0.81, 0.88), (0.88, 0.95)];
+
+/// The same from the upper band of stretches of a channel, the median over them: a jump, or a test that follows another, belongs to one.
+pub fn stretches_noise_rms(channel: &[f64], sample_rate_hz: f64) -> f64 {
+    let every = channel.len().div_ceil(STRETCH * STRETCHES).max(1);
+    let length = STRETCH.min(channel.len());
+    let plan = RealFftPlanner::<f64>::new().plan_fft_forward(length.max(1));
+    // Tapered, a stretch begins and ends with nothing; 1.5 is the mean square of the window.
+    let tapered = |chunk: &[f64]| {
+        let mean = chunk.iter().sum::<f64>() / length as f64;
+        let mut tapered: Vec<f64> = chunk.iter().zip(hann(length)).map(|(x, w)| (x - mean) * w).collect();
+        let mut bins = plan.make_output_vec();
+        let _ = plan.process(&mut tapered, &mut bins);
+        let spectrum = Spectrum { bins, samples: length, padding: 0, length, sample_rate_hz };
+        PARTS_OF_BAND.map(|(low, high)| white_noise_rms(&spectrum, low, high) / 1.5_f64.sqrt())
+    };
+    let told: Vec<_> = channel.chunks_exact(length.max(1)).step_by(every).map(tapered).collect();
+    let mut parts = [0, 1, 2, 3, 4].map(|part| {
+        let mut of_part: Vec<f64> = told.iter().map(|parts| parts[part]).collect();
+        of_part.sort_by(f64::total_cmp);
+        of_part.get(of_part.len() / 2).copied().unwrap_or(0.0)
+    });
+    parts.sort_by(f64::total_cmp);
+    parts[1]
+}
+
+/// Stiffness over mass (1/s2) that a force over the mass and the displacement that it makes show together.
+pub fn held_1_s2(force_m_s2: &[f64], displacement_m: &[f64], sample_rate_hz: f64) -> f64 {
+    let [force, motion] = [force_m_s2, displacement_m].map(|channel| Spectrum::of(channel, sample_rate_hz));
+    let (mut sum, mut power) = (0.0, 0.0);
+    for (bin, (f, d)) in force.bins.iter().zip(&motion.bins).enumerate().skip(1) {
+        let w = motion.omega_rad_s(bin);
+        sum += ((f + d * (w * w)) * d.conj()).re;
+        power += d.norm_sqr();
+    }
+    (sum / power.max(f64::MIN_POSITIVE)).max(0.0)
+}
+
+/// Part of the band, up to its end, in which a band-limited channel has next to nothing, and what share of its power that is at most.
+const UPPER: f64 = 0.8;
+const NEXT_TO_NOTHING: f64 = 0.02;
+
+/// What a solver that joins samples by straight lines is to be given so that the mass that it drives moves, at each sample, as the
+/// band-limited signal that was sampled would move it: lines weaken a frequency f by sinc(f/rate)^2, and what they add around multiples of
+/// the rate is seen at f again, when the motion is sampled, as a mass answers it there, by its inertia, over how it answers f, held by a
+/// stiffness over the mass (1/s2) (Unser 2000, Sampling - 50 years after Shannon). A channel that fills the whole band is no sampled band-limited signal, and is left as it is.
+pub fn along_straight_lines(channel: &[f64], sample_rate_hz: f64, held_1_s2: f64) -> Vec<f64> {
+    let spectrum = Spectrum::of(channel, sample_rate_hz);
+    let power = |bins: &[Complex64]| bins.iter().map(|z| z.norm_sqr()).sum::<f64>();
+    let upper = (UPPER * spectrum.bins.len() as f64) as usize;
+    if power(&spectrum.bins[upper..]) > NEXT_TO_NOTHING * power(&spectrum.bins[1..]) {
+        return channel.to_vec();
+    }
+    let passed = |w: f64| {
+        let x = 0.5 * w / sample_rate_hz;
+        if x == 0.0 {
+            return 1.0;
+        }
+        let sinc = (x.sin() / x).powi(2);
+        // The sum of sinc(f/rate + k)^2 over (1 + k rate/f)^2, all k but 0.
+        let others = (1.0 - 2.0 / 3.0 * x.sin().powi(2)) / sinc - sinc;
+        sinc + others * (1.0 - held_1_s2 / (w * w))
+    };
+    spectrum.multiply(|w| Complex64::from(1.0 / passed(w))).channel()
 }
 
 #[cfg(test)]
@@ -154,6 +228,43 @@ mod tests {
             let exact = w * (w * i as f64 / rate).cos();
             assert!((v - exact).abs() < 2e-3 * w, "{i}: {v} {exact}");
         }
+    }
+
+    #[test]
+    fn a_mass_driven_along_straight_lines_moves_as_the_signal_would_move_it() {
+        // A unit mass that nothing holds, from sample to sample in closed form; its steady motion against -sin/w2.
+        let (rate, n) = (100.0, 4000);
+        for turn in [0.1, 0.8, 1.9] {
+            let x: Vec<f64> = (0..n).map(|i| (turn * f64::from(i)).sin()).collect();
+            let size = |x: &[f64]| {
+                let second: Vec<f64> =
+                    x.windows(3).map(|w| (w[0] + 4.0 * w[1] + w[2]) / 6.0 / (rate * rate)).collect();
+                // Second differences of the motion; those of the signal's are -(2 sin(turn/2)/w)^2 of it.
+                let (sum, of) = (500..3500).fold((0.0, 0.0), |(sum, of), i| {
+                    let sine = (turn * (i as f64 + 1.0)).sin();
+                    (sum + second[i] * sine, of + sine * sine)
+                });
+                sum / of / (2.0 * (0.5 * turn).sin() / (turn * rate)).powi(2)
+            };
+            let left_alone = size(&x);
+            assert!(left_alone < 1.0 - 0.06 * turn * turn, "{turn}: {left_alone}");
+            let made_up_for = size(&along_straight_lines(&x, rate, 0.0));
+            assert!((made_up_for - 1.0).abs() < 1e-3, "{turn}: {made_up_for}");
+        }
+        let filled: Vec<f64> = (0..1000).map(|i| f64::from(i * 7919 % 1009) - 504.0).collect();
+        assert_eq!(along_straight_lines(&filled, rate, 0.0), filled);
+    }
+
+    #[test]
+    fn stretches_tell_noise_beside_a_strong_signal_and_jumps() {
+        use rand::{SeedableRng, prelude::Distribution};
+        let mut random = rand_pcg::Pcg64::seed_from_u64(3);
+        let normal = rand_distr::Normal::new(0.0, 1e-3).expect("valid");
+        let x: Vec<f64> = (0..32_768)
+            .map(|i| (f64::from(i) * 0.7).sin() + f64::from(i / 10_000) + normal.sample(&mut random))
+            .collect();
+        let rms = stretches_noise_rms(&x, 600.0);
+        assert!((rms / 1e-3 - 1.0).abs() < 0.05, "{rms}");
     }
 
     #[test]

@@ -154,16 +154,15 @@ impl Motion {
     /// What drives a simulation has no noise where the table moves periodically, and less where impacts kick it alike in every
     /// cycle; a window tells what noise is left.
     pub(super) fn remove_noise_of_the_table(&mut self) {
-        if self.kind != Kind::Base {
-            let noise = self.restoring_noise_m_s2;
-            self.windows.iter_mut().for_each(|window| window.wave_noise_m_s2 = noise);
+        if self.drive_m_s2.is_empty() {
             return;
         }
         let rate = self.sample_rate_hz;
-        let of_table = self.instruments.as_ref().map_or(0.0, |i| i.table_noise_m_s2);
+        let of_table = self.drive_noise_m_s2;
         let left = Left { crossover_rad_s: self.table_crossover_rad_s };
+        let comes_back = self.kind == Kind::Base;
         let known = parallel::map(&self.windows, parallel::cores(), |window| {
-            drive_of(window, &self.drive_m_s2, rate, of_table, &left)
+            drive_of(window, &self.drive_m_s2, rate, (of_table, &left), comes_back)
         });
         for (window, (noise, drive)) in self.windows.iter_mut().zip(known) {
             window.wave_noise_m_s2 = of_table * left.at(window.frequency_hz).sqrt();
@@ -175,8 +174,15 @@ impl Motion {
 }
 
 /// Noise that is left in what drives a window (m/s2, at the frequencies that the mass follows), and what drives it from the beginning of
-/// its warming up on where that is known better than measured; `of_table` is the noise of the table's accelerometer.
-fn drive_of(window: &Window, measured: &[f64], rate: f64, of_table: f64, left: &Left) -> (f64, Vec<f64>) {
+/// its warming up on where that is known better than measured; `of_table` is the noise of the table's accelerometer. What is no table
+/// need not come back to where it was: an applied force may have a mean.
+fn drive_of(
+    window: &Window,
+    measured: &[f64],
+    rate: f64,
+    (of_table, left): (f64, &Left),
+    comes_back: bool,
+) -> (f64, Vec<f64>) {
     let follows_hz = window.frequency_hz * if window.settling { SETTLING } else { STEADILY };
     let both = of_table * left.up_to(follows_hz).sqrt();
     let as_measured = (both, Vec::new());
@@ -212,13 +218,18 @@ fn drive_of(window: &Window, measured: &[f64], rate: f64, of_table: f64, left: &
         }
     }
     // Over whole cycles a table comes back to where it was; what the noise within the kicks has for a mean would push the mass aside.
-    let mean = rest.iter().sum::<f64>() / rest.len().max(1) as f64;
+    let mean_of = |x: &[f64]| x.iter().sum::<f64>() / x.len().max(1) as f64;
+    let mean = mean_of(&rest);
     rest.iter_mut().for_each(|rest| *rest -= mean);
     // A solver takes long steps where what drives it is smooth; the impulse of a kick is what counts.
     if rate / window.frequency_hz.max(1e-9) > LONG {
         rest = smooth(&smooth(&rest));
     }
-    let drive = found.wave.iter().zip(&rest).map(|(wave, rest)| wave + rest).collect();
+    let mut drive: Vec<f64> = found.wave.iter().zip(&rest).map(|(wave, rest)| wave + rest).collect();
+    if !comes_back {
+        let mean = mean_of(&measured[range]) - mean_of(&drive);
+        drive.iter_mut().for_each(|drive| *drive += mean);
+    }
     (noise / cycles.sqrt(), drive)
 }
 
@@ -354,7 +365,8 @@ mod tests {
             .map(|a| a + NOISE_M_S2 * random.sample::<f64, _>(StandardNormal))
             .collect();
         let window = Window::steady(0, hz, 0, 0..seen.len());
-        let (noise, drive) = drive_of(&window, &seen, RATE_HZ, NOISE_M_S2, &Left { crossover_rad_s: 0.0 });
+        let (noise, drive) =
+            drive_of(&window, &seen, RATE_HZ, (NOISE_M_S2, &Left { crossover_rad_s: 0.0 }), true);
         assert!(noise < 0.5 * NOISE_M_S2, "{noise} m/s2");
         let mean = drive.iter().sum::<f64>() / drive.len() as f64;
         // By white noise in a twelfth of the samples alone it would be off by some 6e-5 m/s2.

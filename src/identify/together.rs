@@ -138,6 +138,8 @@ impl Motion {
         let (number, first_step) = (self.sources.len(), self.windows.iter().map(|w| w.step + 1).max());
         let share = there as f64 / (here + there).max(1) as f64;
         let mix = |a: f64, b: f64| ((1.0 - share) * a * a + share * b * b).sqrt();
+        self.sees_acceleration &= part.sees_acceleration;
+        self.drive_noise_m_s2 = mix(self.drive_noise_m_s2, part.drive_noise_m_s2);
         self.restoring_noise_m_s2 = mix(self.restoring_noise_m_s2, part.restoring_noise_m_s2);
         self.laser_noise_m = mix(self.laser_noise_m, part.laser_noise_m);
         self.displacement_noise_m = mix(self.displacement_noise_m, part.displacement_noise_m);

@@ -12,6 +12,8 @@ const FEWEST_STEPS: usize = 4;
 /// Cycles of a step that count, and that warm it up.
 const COUNTED: f64 = 4.0;
 const WARM: f64 = 3.0;
+/// Cycles that count at most in each part of a record of an applied force without steps.
+const CYCLES_OF_A_PART: f64 = 10.0;
 /// So many at most, where they are as steady, in records of no more samples than it takes to keep a diagnosis short; they become
 /// fewer with the length of the record.
 const MOST: f64 = 8.0;
@@ -142,18 +144,22 @@ fn from_the_middle(displacement: &[f64], range: Range<usize>, cycle: f64) -> usi
     within.clone().skip(1).find(crosses).unwrap_or(range.start)
 }
 
-/// Thirty equal parts inside a record without steps, each warmed up by the one before.
+/// Thirty equal parts inside a record without steps, each warmed up by what is before it; of a record of very many cycles the first
+/// cycles of each.
 fn equal_parts(n: usize, motion: &Motion) -> Vec<Window> {
     let parts = (n / 64).clamp(1, 30);
     let length = n / parts;
-    let input = if motion.drive_m_s2.is_empty() { &motion.displacement_m } else { &motion.drive_m_s2 };
-    let frequency_hz = main_frequency_hz(input, motion.sample_rate_hz).unwrap_or(1.0);
+    // A force may have any frequency; the mass answers at its own.
+    let told = if motion.kind == Kind::Base { &motion.drive_m_s2 } else { &motion.displacement_m };
+    let frequency_hz = main_frequency_hz(told, motion.sample_rate_hz).unwrap_or(1.0);
+    let most = (CYCLES_OF_A_PART * motion.sample_rate_hz / frequency_hz).max(64.0) as usize;
+    let counted = if motion.kind == Kind::Force { length.min(most) } else { length };
     (usize::from(parts > 4)..parts)
         .map(|i| {
-            let (start, end) = (i * length, (i + 1) * length);
-            let warm_from = start.saturating_sub(2 * length);
+            let (start, end) = (i * length, i * length + counted);
+            let warm_from = start.saturating_sub(2 * counted);
             let part = Window::steady(i as i32, frequency_hz, warm_from, start..end);
-            Window { random: motion.kind == Kind::Base, ..part }
+            Window { random: motion.kind != Kind::Component, ..part }
         })
         .collect()
 }

@@ -146,7 +146,7 @@ impl Stand {
 }
 
 /// One sample period of u'' + c u' + k u = f in closed form, f running linearly.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Oscillation {
     /// (u, u') at the end by u, u', f at the beginning, f at the end.
     rows: [[f64; 4]; 2],

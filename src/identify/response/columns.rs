@@ -31,7 +31,7 @@ impl Measured<'_> {
     ) -> (Vec<Vec<f64>>, Arc<Vec<Vec<f64>>>) {
         let motion = self.motion;
         let (window, n) = (step.window, step.simulated.len());
-        let (sa, sd) = (1.0 / motion.restoring_noise_m_s2, 1.0 / motion.laser_noise_m);
+        let (sa, sd) = self.over_noises();
         let common = self.common(job.values, window);
         let column = |a: &dyn Fn(usize) -> f64, d: &dyn Fn(usize) -> f64| -> Vec<f64> {
             let mut column: Vec<f64> = (0..n).map(|i| sa * a(i)).chain((0..n).map(|i| sd * d(i))).collect();

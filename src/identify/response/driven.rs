@@ -6,6 +6,8 @@ use super::{Measured, QUIET, Window};
 use crate::identify::least_squares::dot;
 use crate::identify::motion::Motion;
 use crate::model::ModelSpec;
+use crate::model::system::Oscillation;
+use crate::record::Kind;
 
 /// The least deviation of the zero of the table's acceleration.
 const LEAST_ZERO_M_S2: f64 = 1e-6;
@@ -18,16 +20,16 @@ type Slope = [f64; 2];
 /// a step is estimated beside it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Innovations {
-    dt_s: f64,
     /// Over the noise of D.
     of_d: f64,
     samples: Vec<Sample>,
 }
 
-/// One sample: what the error in A is to the errors of displacement and velocity, and gain and inverse deviation of both channels.
-#[derive(Clone, Debug, Default)]
+/// One sample: what becomes of the errors of displacement and velocity until then, what the error in A is to them, and gain and inverse
+/// deviation of both channels.
+#[derive(Clone, Debug)]
 struct Sample {
-    slope: Slope,
+    later: Oscillation,
     of_a: [f64; 2],
     gain_a: [f64; 2],
     gain_d: [f64; 2],
@@ -35,10 +37,8 @@ struct Sample {
 }
 
 /// Errors of displacement and velocity a sample later.
-fn later([d, v]: [f64; 2], [stiffness, damping]: Slope, dt: f64) -> [f64; 2] {
-    let a = -stiffness * d - damping * v;
-    let jerk = -stiffness * v - damping * a;
-    [d + dt * (v + 0.5 * dt * a), v + dt * (a + 0.5 * dt * jerk)]
+fn after(later: &Oscillation, [d, v]: [f64; 2]) -> [f64; 2] {
+    later.after(d, v, 0.0, 0.0).into()
 }
 
 impl Innovations {
@@ -56,18 +56,24 @@ impl Innovations {
             p[2] -= gain[1] * through[1];
             (gain, 1.0 / variance.sqrt())
         };
+        // Slopes change from one branch to another alone.
+        let mut at = ([f64::NAN; 2], Oscillation::default());
         let samples = slopes.iter().zip(counts).map(|(&slope, &counts)| {
+            if slope != at.0 {
+                at = (slope, Oscillation::new(slope[0], slope[1], dt));
+            }
+            let later = at.1;
             // Columns of the transition, then the covariance through it.
-            let (c, e) = (later([1.0, 0.0], slope, dt), later([0.0, 1.0], slope, dt));
+            let (c, e) = (after(&later, [1.0, 0.0]), after(&later, [0.0, 1.0]));
             let through =
                 |x: usize, y: usize| c[x] * (c[y] * p[0] + e[y] * p[1]) + e[x] * (c[y] * p[1] + e[y] * p[2]);
             p = [through(0, 0), through(0, 1), through(1, 1) + grows];
             let of_a = slope.map(|s| -s / a);
             let (gain_a, over_a) = if counts { seen(&mut p, of_a) } else { ([0.0; 2], 0.0) };
             let (gain_d, over_d) = seen(&mut p, [of_d, 0.0]);
-            Sample { slope, of_a, gain_a, gain_d, over: [over_a, over_d] }
+            Sample { later, of_a, gain_a, gain_d, over: [over_a, over_d] }
         });
-        Self { dt_s: dt, of_d, samples: samples.collect() }
+        Self { of_d, samples: samples.collect() }
     }
 
     /// Takes the place of both channels, A before D, in units of their noise.
@@ -76,7 +82,7 @@ impl Innovations {
         let (in_a, in_d) = channels.split_at_mut(n);
         let mut error = [0.0; 2];
         for ((sample, a), d) in self.samples.iter().zip(in_a).zip(in_d) {
-            error = later(error, sample.slope, self.dt_s);
+            error = after(&sample.later, error);
             let left_a = *a - sample.of_a[0] * error[0] - sample.of_a[1] * error[1];
             (0..2).for_each(|i| error[i] += sample.gain_a[i] * left_a);
             let left_d = *d - self.of_d * error[0];
@@ -103,7 +109,8 @@ impl Measured<'_> {
             let range = window.range.clone();
             let slopes: Vec<Slope> =
                 motion.displacement_m[range.clone()].iter().map(|d| slope(&spec, *d)).collect();
-            let noises = [window.drive_noise_m_s2, motion.restoring_noise_m_s2, motion.laser_noise_m];
+            let displacement = if self.sees_displacement { motion.laser_noise_m } else { f64::INFINITY };
+            let noises = [window.drive_noise_m_s2, motion.restoring_noise_m_s2, displacement];
             Some(Innovations::new(&slopes, &self.counts()[range], noises, motion.dt_s()))
         };
         self.driven.set(motion.windows.iter().map(of).collect()).is_ok()
@@ -132,9 +139,10 @@ impl Measured<'_> {
 }
 
 /// Deviation of the zero of the table's acceleration, its mean over a record: without a displacement of the table nothing says that it
-/// ends as fast as it began. How fast either may be goes with the acceleration in the first and last cycle.
+/// ends as fast as it began. A force that is off all the time is a finding. How fast either may be goes with the acceleration in the first and last cycle.
 pub(super) fn zero_of_table_m_s2(motion: &Motion) -> f64 {
-    if !motion.windows.iter().any(|window| window.random) || motion.table_crossover_rad_s > 0.0 {
+    let random = motion.kind == Kind::Base && motion.windows.iter().any(|window| window.random);
+    if !random || motion.table_crossover_rad_s > 0.0 {
         return LEAST_ZERO_M_S2;
     }
     let (drive, frequency_hz) = (&motion.drive_m_s2, motion.median_frequency_hz());
@@ -168,12 +176,13 @@ mod tests {
     fn what_noise_in_the_drive_does_is_made_white() {
         let (dt, n, slope) = (1e-3, 60_000, [650.0, 2.5]);
         let noises = [0.02, 7e-3, 8e-6];
+        let later = Oscillation::new(slope[0], slope[1], dt);
         let mut random = rand_pcg::Pcg64::seed_from_u64(5);
         let mut normal = || -> f64 { rand_distr::StandardNormal.sample(&mut random) };
         let mut error = [0.0; 2];
         let (mut a, mut d) = (Vec::new(), Vec::new());
         for _ in 0..n {
-            error = later(error, slope, dt);
+            error = after(&later, error);
             error[1] += noises[0] * dt * normal();
             a.push((-slope[0] * error[0] - slope[1] * error[1]) / noises[1] + normal());
             d.push(error[0] / noises[2] + normal());

@@ -87,6 +87,20 @@ pub(super) fn spread_jumps(
     }
 }
 
+/// The same where there may be few samples in a cycle: sixth differences pass no motion even then, but a jump as well as second ones;
+/// their noise over that of those.
+pub(super) fn beside_jumps_of_few_samples(acceleration: &[f64], noise: f64) -> Vec<bool> {
+    const SHARPER: f64 = 12.4;
+    let mut counts = vec![true; acceleration.len()];
+    for (n, w) in acceleration.windows(7).enumerate() {
+        let sixth = w[0] - 6.0 * w[1] + 15.0 * w[2] - 20.0 * w[3] + 15.0 * w[4] - 6.0 * w[5] + w[6];
+        if sixth.abs() > JUMP * SHARPER * noise {
+            leave_out(&mut counts, n + 3);
+        }
+    }
+    counts
+}
+
 /// Whether each sample counts: not beside a jump.
 pub(super) fn beside_jumps(acceleration: &[f64], noise: f64) -> Vec<bool> {
     let mut counts = vec![true; acceleration.len()];
@@ -102,4 +116,29 @@ pub(super) fn beside_jumps(acceleration: &[f64], noise: f64) -> Vec<bool> {
 fn leave_out(counts: &mut [bool], jump: usize) {
     let end = (jump + AROUND + 1).min(counts.len());
     counts[jump.saturating_sub(AROUND)..end].fill(false);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{SeedableRng, prelude::Distribution};
+
+    #[test]
+    fn a_jump_is_seen_where_there_are_few_samples_in_a_cycle() {
+        let mut random = rand_pcg::Pcg64::seed_from_u64(9);
+        let mut normal = || -> f64 { rand_distr::StandardNormal.sample(&mut random) };
+        // Nine samples a cycle, two hundred times the noise.
+        let mut a: Vec<f64> = (0..2000).map(|i| 2.0 * (0.7 * f64::from(i)).sin() + 0.01 * normal()).collect();
+        assert!(beside_jumps(&a, 0.01).iter().all(|counts| !counts), "second differences see the motion");
+        assert!(beside_jumps_of_few_samples(&a, 0.01).iter().all(|counts| *counts));
+        a[1000..].iter_mut().for_each(|a| *a += 0.4);
+        let left_out: Vec<usize> = beside_jumps_of_few_samples(&a, 0.01)
+            .iter()
+            .enumerate()
+            .filter(|(_, c)| !**c)
+            .map(|(i, _)| i)
+            .collect();
+        assert!(left_out.contains(&999) && left_out.contains(&1000), "{left_out:?}");
+        assert!(left_out.iter().all(|i| (990..1010).contains(i)), "{left_out:?}");
+    }
 }

@@ -32,14 +32,19 @@ impl Measured<'_> {
             let mut misfit = self.misfit(step.window, &step.simulated, common, own);
             self.follow_drive(step.window, &mut misfit);
             let (of_a, of_d) = misfit.split_at(step.simulated.len());
-            let laser = &motion.laser_m[step.window.range.clone()];
+            let laser = motion.laser_m.get(step.window.range.clone()).unwrap_or(&[]);
             let mean = laser.iter().sum::<f64>() / laser.len().max(1) as f64;
             let mut error = OutputError::default();
-            for (i, n) in step.window.range.clone().enumerate().filter(|(_, n)| self.counts()[*n]) {
-                error.sum_a += (motion.restoring_noise_m_s2 * of_a[i]).powi(2);
-                error.power_a += motion.restoring_m_s2[n].powi(2);
-                error.sum_d += (motion.laser_noise_m * of_d[i]).powi(2);
-                error.power_d += (laser[i] - mean).powi(2);
+            let counts = |n: &usize| self.counts()[*n] || !motion.sees_acceleration;
+            for (i, n) in step.window.range.clone().enumerate().filter(|(_, n)| counts(n)) {
+                if motion.sees_acceleration {
+                    error.sum_a += (motion.restoring_noise_m_s2 * of_a[i]).powi(2);
+                    error.power_a += motion.restoring_m_s2[n].powi(2);
+                }
+                if let Some(seen) = laser.get(i) {
+                    error.sum_d += (motion.laser_noise_m * of_d[i]).powi(2);
+                    error.power_d += (seen - mean).powi(2);
+                }
                 error.count += 1;
             }
             (*k, error)

@@ -3,7 +3,8 @@
 //! acceleration leaks into that of the mass, and a part of a sample between the two. What is then left of a right model is
 //! the white noise of the instruments, so that sums of squares are likelihoods and intervals hold what they say (output
 //! error method: Jategaonkar, Flight Vehicle System Identification, 2006, ch. 4; nuisances are eliminated step by step from
-//! the normal equations, Golub and Pereyra 1973). Diagnosis decides by it wherever a base record drives a simulation.
+//! the normal equations, Golub and Pereyra 1973). Diagnosis decides by it wherever a record drives a simulation; of a force record F/M
+//! takes the place of the table's acceleration, with the other sign.
 
 mod columns;
 mod descent;
@@ -14,6 +15,7 @@ mod memory;
 mod priors;
 mod profile;
 mod slow;
+mod specimens;
 mod tangent;
 #[cfg(test)]
 mod tests;
@@ -22,17 +24,18 @@ pub use left::Left;
 pub use tangent::{Score, Tangent};
 
 use driven::{Innovations, zero_of_table_m_s2};
-use jumps::{Sampled, beside_jumps};
+use jumps::{beside_jumps, beside_jumps_of_few_samples};
 use slow::Slow;
+use specimens::Specimens;
 
 use super::least_squares::{Fit, Free, dot};
 use super::motion::{Motion, Window};
 use super::numbers::Numbers;
 use super::problem::{DRIFT, Part};
 use super::refit::{with_zero, zero_sigma_m};
-use super::together::Source;
-use crate::model::{self, EffectSpec, ModelSpec, Specimen, effects};
+use crate::model::ModelSpec;
 use crate::parallel;
+use crate::record::Kind;
 use nalgebra::{DMatrix, DVector};
 use std::sync::{Arc, OnceLock, RwLock};
 
@@ -53,6 +56,8 @@ const COMMON: usize = 6;
 /// After them come the offsets of what drives it in each half cycle, where there is noise in it; then, without a simulation, the zero
 /// of A and the knots of the displacement sensor's drift.
 const STARTING: usize = 5;
+/// How far off the start of a step is, over the rms of the motion, where nothing but an integrated acceleration tells it.
+const SLOW_START: f64 = 0.1;
 /// Noise of what drives a step below this share of the table's own is not followed.
 const QUIET: f64 = 0.1;
 /// Nor in a step of more half cycles than these: each takes a simulation.
@@ -72,6 +77,8 @@ const TOGETHER: usize = 4;
 #[derive(Clone)]
 pub struct Measured<'a> {
     motion: &'a Motion,
+    /// Whether there is a displacement sensor.
+    sees_displacement: bool,
     /// Numbers of the windows of each part.
     training: Vec<usize>,
     held_out: Vec<usize>,
@@ -79,6 +86,8 @@ pub struct Measured<'a> {
     leak_sigma: f64,
     gain_sigmas: [f64; 2],
     drift_m: f64,
+    /// Deviations of the start displacement (m) and velocity (m/s) of a step that no displacement sensor tells.
+    slow_start: [f64; 2],
     table_noise_m_s2: f64,
     table_zero_m_s2: f64,
     /// Whether each sample of the acceleration counts, by the record alone.
@@ -137,17 +146,6 @@ impl Laid {
 /// Simulated A and D of a step.
 type Simulated = Vec<(f64, f64)>;
 
-/// The model as it stood at each record.
-struct Specimens {
-    each: Vec<Box<dyn Specimen>>,
-    /// An effect has states of its own.
-    hidden: bool,
-    /// An effect forgets by a power law: slower than in the cycles before a step.
-    remembers: bool,
-    /// The table moves otherwise than it is driven.
-    kicks: bool,
-}
-
 struct Step<'b> {
     window: &'b Window,
     residuals: Vec<f64>,
@@ -155,11 +153,16 @@ struct Step<'b> {
 }
 
 impl<'a> Measured<'a> {
-    /// Prepares the steps of a motion; `None` where there is no base motion with a displacement sensor.
+    /// Prepares the steps of a motion; `None` where nothing drives a simulation (a component), or a base record lacks its displacement
+    /// sensor.
     pub fn new(motion: &'a Motion) -> Option<Self> {
-        let base =
-            motion.kind == crate::record::Kind::Base && motion.laser_m.len() == motion.displacement_m.len();
-        if !base || motion.restoring_noise_m_s2 <= 0.0 || motion.laser_noise_m <= 0.0 {
+        let sees_displacement = motion.laser_m.len() == motion.displacement_m.len();
+        let driven = match motion.kind {
+            Kind::Base => sees_displacement,
+            Kind::Force => sees_displacement || motion.sees_acceleration,
+            Kind::Component => false,
+        };
+        if !driven || motion.restoring_noise_m_s2 <= 0.0 || sees_displacement && motion.laser_noise_m <= 0.0 {
             return None;
         }
         let of = |held_out: bool| -> Vec<usize> {
@@ -182,18 +185,23 @@ impl<'a> Measured<'a> {
         let (training, held_out) = (of(false), of(true));
         (!training.is_empty() && !held_out.is_empty()).then(|| Self {
             motion,
+            sees_displacement,
             training,
             held_out,
             zero_sigma_m: zero_sigma_m(motion),
             gain_sigmas: gains.unwrap_or([0.0; 2]).map(|sigma| sigma.max(1e-6)),
             leak_sigma: leak.unwrap_or(0.0).max(1e-6),
             drift_m: DRIFT * motion.rms(&motion.displacement_m),
-            table_noise_m_s2: motion
-                .instruments
-                .as_ref()
-                .map_or(motion.restoring_noise_m_s2, |i| i.table_noise_m_s2),
+            slow_start: [&motion.displacement_m, &motion.velocity_m_s].map(|x| SLOW_START * motion.rms(x)),
+            table_noise_m_s2: motion.drive_noise_m_s2,
             table_zero_m_s2: zero_of_table_m_s2(motion),
-            counts: beside_jumps(&motion.restoring_m_s2, motion.restoring_noise_m_s2),
+            counts: match motion.kind {
+                _ if !motion.sees_acceleration => vec![false; motion.restoring_m_s2.len()],
+                Kind::Force => {
+                    beside_jumps_of_few_samples(&motion.restoring_m_s2, motion.restoring_noise_m_s2)
+                }
+                _ => beside_jumps(&motion.restoring_m_s2, motion.restoring_noise_m_s2),
+            },
             told: Arc::default(),
             slow: Arc::default(),
             driven: Arc::default(),
@@ -271,7 +279,14 @@ impl<'a> Measured<'a> {
 
     /// Residuals of a step that count.
     fn count(&self, window: &Window) -> usize {
-        window.range.len() + self.counts()[window.range.clone()].iter().filter(|c| **c).count()
+        let displacements = if self.sees_displacement { window.range.len() } else { 0 };
+        displacements + self.counts()[window.range.clone()].iter().filter(|c| **c).count()
+    }
+
+    /// One over the noises of A and D; nothing for a displacement that was not measured.
+    fn over_noises(&self) -> (f64, f64) {
+        let displacement = if self.sees_displacement { 1.0 / self.motion.laser_noise_m } else { 0.0 };
+        (1.0 / self.motion.restoring_noise_m_s2, displacement)
     }
 
     fn knots(&self, window: &Window) -> usize {
@@ -307,67 +322,6 @@ impl<'a> Measured<'a> {
         self.windows(part).iter().map(nothing).collect()
     }
 
-    /// Simulates a step from the measured state, moved by so much, jumps spread.
-    fn simulate(
-        &self,
-        specimens: &mut Specimens,
-        window: &Window,
-        common: &[f64],
-        start: &[f64],
-    ) -> Simulated {
-        let mut sampled = self.sampled(specimens, window, common, start);
-        sampled.spread(specimens, self.motion.sample_rate_hz);
-        sampled.simulated
-    }
-
-    /// The same with its jumps as they are; hidden states are warmed up along the measured motion.
-    fn sampled(&self, specimens: &mut Specimens, window: &Window, common: &[f64], start: &[f64]) -> Sampled {
-        let motion = self.motion;
-        let (zero_m, table_zero_m_s2) = (common[0], if window.random { common[5] } else { 0.0 });
-        let specimen = &mut *specimens.each[window.source];
-        specimen.reset();
-        let source = &motion.sources[window.source];
-        let last = window.range.start.max(1) - 1;
-        let mut first = window.warm_from.min(last);
-        if !specimens.hidden {
-            // Nothing but the tips of the bumpers to bring to where they are.
-            let half_cycle = 0.5 * motion.sample_rate_hz / window.frequency_hz.max(1e-9);
-            first = first.max(last.saturating_sub(half_cycle as usize));
-        }
-        specimen.set_time_s(source.time_s(first, motion.dt_s()));
-        if specimens.remembers {
-            specimen.recall(self.remembered(window));
-        }
-        motion.retrace(specimen, window, first, zero_m);
-        for n in first..last {
-            specimen.impose(motion.displacement_m[n] + zero_m, motion.velocity_m_s[n]);
-        }
-        specimen
-            .impose(motion.displacement_m[last] + zero_m + start[0], motion.velocity_m_s[last] + start[1]);
-        // What drives the step, its amplitude and time as they are estimated.
-        let end = motion.drive_m_s2.len() - 1;
-        let offsets = &start[STARTING..self.followed(window)];
-        let length = window.range.len() as f64;
-        let drive = |n: usize| {
-            let at = n.saturating_sub(window.range.start) * offsets.len() / window.range.len();
-            let slope = 0.5
-                * (motion.drive_m_s2[(n + 1).min(end)] - motion.drive_m_s2[n.max(1) - 1])
-                * motion.sample_rate_hz;
-            let late_s = start[3] + start[4] * (2.0 * (n as f64 - window.range.start as f64) / length - 1.0);
-            let offset = table_zero_m_s2 + offsets.get(at).unwrap_or(&0.0);
-            motion.drive_m_s2[n] * (1.0 + start[2]) + slope * late_s + offset
-        };
-        specimen.prime(drive(last));
-        let table: Vec<f64> = window.range.clone().map(drive).collect();
-        let mut simulated = Simulated::with_capacity(table.len());
-        let mut velocity_m_s = Vec::with_capacity(table.len());
-        specimen.run(&table, &mut |response| {
-            simulated.push((response.mass_acceleration_m_s2, response.relative_displacement_m));
-            velocity_m_s.push(response.relative_velocity_m_s);
-        });
-        Sampled { simulated, velocity_m_s, table_m_s2: table }
-    }
-
     /// Weights of the two knots beside a sample, and the left one's number.
     fn beside(&self, window: &Window, i: usize, knots: usize) -> (usize, f64) {
         let at = i as f64 * (knots - 1) as f64 / window.range.len() as f64;
@@ -378,7 +332,7 @@ impl<'a> Measured<'a> {
     /// Measured less simulated A, then D, over their noises.
     fn misfit(&self, window: &Window, simulated: &Simulated, common: &[f64], nuisances: &[f64]) -> Vec<f64> {
         let motion = self.motion;
-        let (sa, sd) = (1.0 / motion.restoring_noise_m_s2, 1.0 / motion.laser_noise_m);
+        let (sa, sd) = self.over_noises();
         let (zero_m, leak, lag) = (common[0], common[1], common[2] * motion.sample_rate_hz);
         let (gain_d, gain_a) = (1.0 + common[3], 1.0 + common[4]);
         let followed = self.followed(window);
@@ -395,7 +349,8 @@ impl<'a> Measured<'a> {
                     * (-motion.restoring_m_s2[at] - leak * motion.drive_m_s2[at] - offset - gain_a * a
                         + lag * slope_a);
             }
-            out[n + i] = sd * (motion.laser_m[at] - slow - gain_d * d + zero_m + lag * slope_d);
+            let seen = motion.laser_m.get(at).unwrap_or(&0.0);
+            out[n + i] = sd * (seen - slow - gain_d * d + zero_m + lag * slope_d);
         }
         out
     }
@@ -464,16 +419,6 @@ impl<'a> Measured<'a> {
         let prior = (&own.transpose() * self.precision(window) * &own)[(0, 0)];
         let cost = robust(chi2 + prior, self.count(window)).0;
         chi2.is_finite().then_some((cost, Step { window, residuals, simulated }))
-    }
-
-    fn specimens(&self, spec: &ModelSpec) -> Option<Specimens> {
-        let sources = &self.motion.sources;
-        let build = |source: &Source| model::build(&source.setting.of(spec), self.motion.dt_s()).ok();
-        let has = |name: &str| spec.effects.iter().any(|effect| effect.name == name);
-        let (remembers, kicks) = (has("fractional-damping"), has("table-interaction"));
-        let stateless = |effect: &EffectSpec| effects::find(&effect.name).is_ok_and(|e| e.states.is_empty());
-        let hidden = !spec.effects.iter().all(stateless);
-        Some(Specimens { each: sources.iter().map(build).collect::<Option<_>>()?, hidden, remembers, kicks })
     }
 }
 

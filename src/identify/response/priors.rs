@@ -21,9 +21,14 @@ impl Measured<'_> {
         // The displacement sensor's slow noise and gain are in the measured state.
         let last = window.range.start.max(1) - 1;
         let gain = 3.0 * self.gain_sigmas[0];
+        // What was had from the acceleration alone lacks what is slow.
+        let slow = if self.sees_displacement { [0.0; 2] } else { self.slow_start };
         let mut sigmas = vec![
-            (3.0 * motion.displacement_noise_m).hypot(self.drift_m).hypot(gain * motion.displacement_m[last]),
-            (3.0 * motion.velocity_noise_m_s).hypot(gain * motion.velocity_m_s[last]),
+            (3.0 * motion.displacement_noise_m)
+                .hypot(self.drift_m)
+                .hypot(gain * motion.displacement_m[last])
+                .hypot(slow[0]),
+            (3.0 * motion.velocity_noise_m_s).hypot(gain * motion.velocity_m_s[last]).hypot(slow[1]),
             amplitude,
             amplitude / w,
             // Frequency of a sine in white noise.

@@ -3,8 +3,8 @@ use crate::diagnose::candidates;
 use crate::diagnose::testing::seen;
 use crate::identify::kinematics::Tolerances;
 use crate::identify::least_squares::Settings;
-use crate::model::effects;
 use crate::model::testing::{b1_g2, effect};
+use crate::model::{self, effects};
 use rand::{SeedableRng, prelude::Distribution};
 use std::f64::consts::TAU;
 
@@ -22,7 +22,7 @@ fn off() -> ModelSpec {
 }
 
 fn fitted(measured: &Measured<'_>) -> (ModelSpec, Numbers, Laid) {
-    let numbers = Numbers::of_base(&b1_g2());
+    let numbers = Numbers::of_base(&b1_g2(), Kind::Base);
     let settings = Settings { iterations: 30, ..Settings::default() };
     let laid = measured.fit(&b1_g2(), &numbers, 0.0, None, settings).expect("fits");
     let mut spec = b1_g2();
@@ -233,7 +233,7 @@ fn along_a_number_that_the_record_tells_the_profile_says_what_the_curvature_does
     let measured = Measured::new(&motion).expect("a base record");
     let mut start = b1_g2();
     start.effects.push(effect("quadratic-damping", &[("c2_n_s2_m2", 300.0)]));
-    let mut numbers = Numbers::of_base(&start);
+    let mut numbers = Numbers::of_base(&start, Kind::Base);
     numbers.add_effect(&start, 0, &candidates::scales(&start, &motion));
     let j = numbers.numbers.len() - 1;
     let fit = |iterations| {
@@ -263,7 +263,7 @@ fn a_fit_with_the_general_solver_mostly_ends_in_the_same_place_from_wherever_it_
         let measured = Measured::new(&motion).expect("a base record");
         let mut faint = b1_g2();
         faint.effects.push(effect("cubic-stiffness", &[("k3_n_m3", 1e5)]));
-        let mut numbers = Numbers::of_base(&b1_g2());
+        let mut numbers = Numbers::of_base(&b1_g2(), Kind::Base);
         numbers.add_effect(&faint, 0, &candidates::scales(&faint, &motion));
         let [there, here] = [&faint, &truth].map(|start| {
             let mut numbers = numbers.clone();

@@ -4,6 +4,16 @@ use super::super::{Response, Specimen};
 use super::dynamics::{Course, Drive, Joint, Line, Motion, Sliding, Tip};
 use super::specimen::General;
 
+/// Second differences over the rms from which on samples are joined by lines, as the closed-form solver joins them all.
+const ROUGH: f64 = 0.005;
+
+/// Whether a course bends so much at most of its samples, as noise has it do.
+fn is_rough(samples: &[f64]) -> bool {
+    let rms = (samples.iter().map(|x| x * x).sum::<f64>() / samples.len().max(1) as f64).sqrt();
+    let bent = samples.windows(3).filter(|w| (w[2] - 2.0 * w[1] + w[0]).abs() > ROUGH * rms).count();
+    2 * bent > samples.len()
+}
+
 impl<const N: usize> Specimen for General<N> {
     fn reset(&mut self) {
         self.y = [0.0; N];
@@ -35,8 +45,9 @@ impl<const N: usize> Specimen for General<N> {
         let Some((first, last)) = table_acceleration_m_s2.first().zip(table_acceleration_m_s2.last()) else {
             return;
         };
-        // A tip that relaxes by small steps has to be stated anew after each sample.
-        if !self.system.bumper.relaxes_in_closed_form() {
+        // A tip that relaxes by small steps has to be stated anew after each sample; and a course with corners at its samples leaves an
+        // error control no step to lengthen, while a line from one to the next has none.
+        if !self.system.bumper.relaxes_in_closed_form() || is_rough(table_acceleration_m_s2) {
             table_acceleration_m_s2.iter().for_each(|table| visit(&self.step(*table)));
             return;
         }

@@ -1,0 +1,153 @@
+//! Records of an applied force from rigs that are not the product's: a milligram oscillator at 600 Hz with nine samples a cycle, and a
+//! servo axis of a hundred kilograms that nothing holds back. Integrated here, in fine steps, by nothing of the product.
+
+use rand::{Rng, SeedableRng};
+use rand_distr::StandardNormal;
+use rand_pcg::Pcg64;
+use shaketable::model::{IsolatorSpec, ModelSpec};
+use shaketable::record::{Kind, Record};
+use std::f64::consts::TAU;
+
+/// A mass on springs that bend, drag and dry friction.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Body {
+    /// kg.
+    pub mass_kg: f64,
+    /// N/m.
+    pub stiffness_n_m: f64,
+    /// N s/m.
+    pub damping_n_s_m: f64,
+    /// N/m3.
+    pub cubic_n_m3: f64,
+    /// N.
+    pub friction_n: f64,
+    /// What pushes it all the time, in the sense of a restoring force, N.
+    pub constant_n: f64,
+}
+
+impl Body {
+    /// Acceleration beside friction, m/s2.
+    fn free_m_s2(&self, force_n: f64, x_m: f64, v_m_s: f64) -> f64 {
+        let spring_n = self.stiffness_n_m * x_m + self.cubic_n_m3 * x_m.powi(3);
+        (force_n - self.constant_n - spring_n - self.damping_n_s_m * v_m_s) / self.mass_kg
+    }
+
+    /// One fine step of `h_s` with friction: it stops where it turns, and stays where it is held.
+    fn slide(&self, state: &mut (f64, f64), force_n: f64, h_s: f64) {
+        let (x, v) = *state;
+        let free = self.free_m_s2(force_n, x, v);
+        let held = self.friction_n / self.mass_kg;
+        let a = match v {
+            0.0 if free.abs() <= held => 0.0,
+            0.0 => free - held * free.signum(),
+            _ => free - held * v.signum(),
+        };
+        let next = v + h_s * a;
+        let turns = v != 0.0 && next * v < 0.0;
+        *state = if turns { (x, 0.0) } else { (x + h_s * next, next) };
+    }
+
+    /// One fine step of `h_s` without friction (Runge and Kutta), the force at its beginning, middle and end.
+    fn swing(&self, state: &mut (f64, f64), [f0, f1, f2]: [f64; 3], h_s: f64) {
+        let (x, v) = *state;
+        let rates = |f: f64, x: f64, v: f64| (v, self.free_m_s2(f, x, v));
+        let k1 = rates(f0, x, v);
+        let k2 = rates(f1, x + 0.5 * h_s * k1.0, v + 0.5 * h_s * k1.1);
+        let k3 = rates(f1, x + 0.5 * h_s * k2.0, v + 0.5 * h_s * k2.1);
+        let k4 = rates(f2, x + h_s * k3.0, v + h_s * k3.1);
+        state.0 += h_s / 6.0 * (k1.0 + 2.0 * k2.0 + 2.0 * k3.0 + k4.0);
+        state.1 += h_s / 6.0 * (k1.1 + 2.0 * k2.1 + 2.0 * k3.1 + k4.1);
+    }
+
+    /// A model of its springs and drag that is off by some per cent.
+    pub fn nominal(&self, name: &str, seed: u64) -> ModelSpec {
+        let mut random = Pcg64::seed_from_u64(seed);
+        let mut off = |low: f64, high: f64| {
+            let by = random.random_range(low..high);
+            if random.random_bool(0.5) { 1.0 + by } else { 1.0 - by }
+        };
+        ModelSpec {
+            name: name.into(),
+            mass_kg: self.mass_kg * off(0.0, 0.02),
+            isolator: IsolatorSpec {
+                stiffness_n_m: vec![self.stiffness_n_m * off(0.05, 0.1)],
+                breakpoints_m: vec![],
+                damping_n_s_m: self.damping_n_s_m * off(0.05, 0.1),
+            },
+            bumper: None,
+            effects: vec![],
+            uncertainty: None,
+        }
+    }
+}
+
+/// Noise of a sensor.
+fn noise(random: &mut Pcg64, rms: f64) -> f64 {
+    rms * random.sample::<f64, _>(StandardNormal)
+}
+
+/// Waves up to 200 Hz drive an oscillator at some 70 Hz for most of a minute, seen 610 times a second.
+pub fn waves(body: &Body, seed: u64) -> Record {
+    const RATE_HZ: f64 = 610.35;
+    const FINE: usize = 32;
+    const SAMPLES: usize = 24_000;
+    const WAVES: usize = 300;
+    const RMS_N: f64 = 0.05;
+    let mut random = Pcg64::seed_from_u64(seed);
+    let waves: Vec<(f64, f64)> =
+        (0..WAVES).map(|_| (TAU * random.random_range(1.0..200.0), random.random_range(0.0..TAU))).collect();
+    let amplitude_n = RMS_N * (2.0 / WAVES as f64).sqrt();
+    // Each wave turns on by half a fine step.
+    let half_s = 0.5 / (RATE_HZ * FINE as f64);
+    let turns: Vec<(f64, f64)> = waves.iter().map(|(w, _)| (w * half_s).sin_cos()).collect();
+    let mut now: Vec<(f64, f64)> = waves.iter().map(|(_, phase)| phase.sin_cos()).collect();
+    let mut next = || {
+        now.iter_mut()
+            .zip(&turns)
+            .for_each(|((s, c), (st, ct))| (*s, *c) = (*s * ct + *c * st, *c * ct - *s * st));
+        amplitude_n * now.iter().map(|(s, _)| s).sum::<f64>()
+    };
+    let mut record = Record::empty("waves", Kind::Force, RATE_HZ);
+    let (mut state, mut force) = ((0.0, 0.0), next());
+    for i in 0..SAMPLES {
+        record.time_s.push(i as f64 / RATE_HZ);
+        record.force_n.push(force + noise(&mut random, 2e-4));
+        record.displacement_m.push(state.0 + noise(&mut random, 2e-4));
+        for _ in 0..FINE {
+            let forces = [force, next(), next()];
+            body.swing(&mut state, forces, 2.0 * half_s);
+            force = forces[2];
+        }
+    }
+    record
+}
+
+/// A drive moves an axis to and fro between places, and holds it there; its force is told 1000 times a second, its place to a micrometre.
+pub fn axis(body: &Body, seed: u64) -> Record {
+    const RATE_HZ: f64 = 1000.0;
+    const FINE: usize = 32;
+    const PLACES_M: [f64; 8] = [0.23, 0.0, 0.1, 0.2, 0.05, 0.23, 0.0, 0.15];
+    const EACH_S: f64 = 3.0;
+    const PLACE_1_S: f64 = 30.0;
+    const SPEED_N_S_M: f64 = 3000.0;
+    let mut random = Pcg64::seed_from_u64(seed);
+    let mut record = Record::empty("axis", Kind::Force, RATE_HZ);
+    let (mut state, mut from) = ((0.0, 0.0), 0.0);
+    for to in PLACES_M {
+        let lasts = random.random_range(0.4..0.8) * EACH_S;
+        for i in 0..(EACH_S * RATE_HZ) as usize {
+            let part = (i as f64 / RATE_HZ / lasts).min(1.0);
+            let aim = from + (to - from) * part.powi(3) * (10.0 - 15.0 * part + 6.0 * part * part);
+            let force = |(x, v): (f64, f64)| SPEED_N_S_M * (PLACE_1_S * (aim - x) - v);
+            record.time_s.push(record.time_s.len() as f64 / RATE_HZ);
+            record.force_n.push(force(state) + noise(&mut random, 0.3));
+            record.displacement_m.push((state.0 / 1e-6).round() * 1e-6);
+            for _ in 0..FINE {
+                let force_n = force(state);
+                body.slide(&mut state, force_n, 1.0 / (RATE_HZ * FINE as f64));
+            }
+        }
+        from = to;
+    }
+    record
+}

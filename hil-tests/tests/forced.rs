@@ -1,0 +1,86 @@
+//! The diagnosis on records of an applied force from other rigs: other magnitudes, few samples a cycle, nothing that holds the mass.
+
+use hil_tests::forced::{Body, axis, waves};
+use shaketable::compare::compare;
+use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose};
+use shaketable::model::ModelSpec;
+use shaketable::record::Record;
+
+/// 5 mg at 70 Hz.
+const OSCILLATOR: Body = Body {
+    mass_kg: 5.2e-6,
+    stiffness_n_m: 1.0,
+    damping_n_s_m: 2.1e-4,
+    cubic_n_m3: 0.0,
+    friction_n: 0.0,
+    constant_n: 0.0,
+};
+/// An axis that nothing holds back.
+const AXIS: Body = Body { mass_kg: 95.0, damping_n_s_m: 200.0, friction_n: 20.0, ..NOTHING };
+const NOTHING: Body = Body {
+    mass_kg: 0.0,
+    stiffness_n_m: 0.0,
+    damping_n_s_m: 0.0,
+    cubic_n_m3: 0.0,
+    friction_n: 0.0,
+    constant_n: 0.0,
+};
+
+fn found(record: &Record, nominal: &ModelSpec) -> Diagnosis {
+    diagnose(record, nominal, &Options::default()).expect("a sound record")
+}
+
+fn within(found: &Diagnosis, key: &str, truth: f64, deviations: f64) {
+    let number = found.reidentified.iter().find(|number| number.key == key).expect("identified");
+    let half = 0.5 * (number.high95 - number.low95) * deviations / 1.96;
+    assert!((number.value - truth).abs() < half, "{key}: {} within {half}, is {truth}", number.value);
+}
+
+#[test]
+fn an_oscillator_with_numbers_that_are_off_lacks_nothing() {
+    let nominal = OSCILLATOR.nominal("oscillator", 1);
+    let record = waves(&OSCILLATOR, 2);
+    let found = found(&record, &nominal);
+    assert_eq!(found.verdict, Verdict::Adequate, "{:?} {:?}", found.effects, found.refused);
+    assert!(found.error_after < 1.05 * found.noise_floor && found.error_before > 10.0 * found.noise_floor);
+    for (key, truth) in
+        [("mass_kg", 5.2e-6), ("isolator.stiffness_n_m[0]", 1.0), ("isolator.damping_n_s_m", 2.1e-4)]
+    {
+        within(&found, key, truth, 4.0);
+    }
+    // The numbers that were found leave as little where nothing is fitted.
+    let mut fitted = nominal.clone();
+    for number in &found.reidentified {
+        fitted.set(&number.key, number.value).expect("a key");
+    }
+    let [before, after] = [&nominal, &fitted]
+        .map(|model| compare(&record, model).expect("comparable").error.nrmse_d.expect("measured"));
+    assert!(after < 0.02 && after < 0.05 * before, "{after} after {before}");
+}
+
+#[test]
+fn a_spring_that_bends_is_named_at_nine_samples_a_cycle() {
+    let body = Body { cubic_n_m3: 2.0, ..OSCILLATOR };
+    let found = found(&waves(&body, 3), &body.nominal("oscillator", 4));
+    assert_eq!(found.verdict, Verdict::Missing, "{:?} {:?}", found.effects, found.refused);
+    assert_eq!(found.effects[0].name, "cubic-stiffness");
+    let k3 = &found.effects[0].parameters["k3_n_m3"];
+    assert!((k3.value - 2.0).abs() < 0.02, "{k3:?}");
+    assert!(found.error_after < 0.1 * found.error_reidentified);
+}
+
+#[test]
+fn dry_friction_of_an_axis_that_nothing_holds_is_named() {
+    let nominal = AXIS.nominal("axis", 5);
+    let found = found(&axis(&AXIS, 6), &nominal);
+    assert!(
+        matches!(found.verdict, Verdict::Missing | Verdict::Ambiguous),
+        "{:?} {:?}",
+        found.effects,
+        found.refused
+    );
+    assert_eq!(found.effects[0].name, "coulomb-friction");
+    let fc = &found.effects[0].parameters["fc_n"];
+    assert!((fc.value - 20.0).abs() < 0.1, "{fc:?}");
+    assert!(found.error_after < 0.3 * found.error_reidentified);
+}

@@ -1,0 +1,126 @@
+//! Displacement, velocity and acceleration of a record that has a displacement sensor, accelerometers, or both: fused, differentiated or
+//! integrated with zero phase, each with its noise. Called when a motion is made ready, and by the kinematics.
+
+use super::motion::Motion;
+use super::spectral::Spectrum;
+use super::together::Source;
+use crate::parallel;
+use crate::record::Record;
+use realfft::num_complex::Complex64;
+
+/// Displacement and its derivatives with their noise.
+pub(super) struct Fused {
+    pub(super) displacement_m: Vec<f64>,
+    velocity_m_s: Vec<f64>,
+    pub(super) acceleration_m_s2: Vec<f64>,
+    displacement_noise_m: f64,
+    velocity_noise_m_s: f64,
+    pub(super) acceleration_noise_m_s2: f64,
+}
+
+impl Fused {
+    pub(super) fn motion(self, record: &Record) -> Motion {
+        Motion {
+            kind: record.kind,
+            mass_kg: 1.0,
+            sample_rate_hz: record.sample_rate_hz,
+            sources: vec![Source {
+                start_s: record.time_s.first().copied().unwrap_or(0.0),
+                ..Source::default()
+            }],
+            displacement_m: self.displacement_m,
+            velocity_m_s: self.velocity_m_s,
+            restoring_m_s2: Vec::new(),
+            drive_m_s2: Vec::new(),
+            laser_m: Vec::new(),
+            windows: Vec::new(),
+            table_crossover_rad_s: 0.0,
+            table_gain_sigma: 0.0,
+            sees_acceleration: true,
+            drive_noise_m_s2: 0.0,
+            restoring_noise_m_s2: 0.0,
+            laser_noise_m: 0.0,
+            displacement_noise_m: self.displacement_noise_m,
+            velocity_noise_m_s: self.velocity_noise_m_s,
+            instruments: None,
+        }
+    }
+}
+
+/// Wiener fusion: weight of the displacement `1/(1 + (w/wc)^4)`, `wc = (sa/sd)^(1/2)`.
+pub(super) fn fuse(displacement: &[f64], sd: f64, acceleration: &[f64], sa: f64, rate: f64) -> Fused {
+    let crossover = (sa.max(1e-300) / sd.max(1e-300)).sqrt();
+    let low = |w: f64| 1.0 / (1.0 + (w / crossover).powi(4));
+    let mut laser = Spectrum::of(displacement, rate);
+    let inertial = Spectrum::of(acceleration, rate)
+        .multiply(|w| if w > 0.0 { Complex64::from(-(1.0 - low(w)) / (w * w)) } else { Complex64::ZERO });
+    laser = laser.multiply(|w| Complex64::from(low(w))).add(&inertial);
+    derivatives(&laser, |w| {
+        let sum = sd.powi(2) * low(w).powi(2);
+        if w > 0.0 { sum + (sa * (1.0 - low(w)) / (w * w)).powi(2) } else { sum }
+    })
+}
+
+/// Displacement alone: low-passed where its noise reaches the signal, then differentiated.
+pub(super) fn differentiate(displacement: &[f64], sd: f64, rate: f64) -> Fused {
+    let spectrum = Spectrum::of(displacement, rate);
+    let cut = signal_end_rad_s(&spectrum, sd);
+    let low = move |w: f64| 1.0 / (1.0 + (w / cut).powi(8));
+    derivatives(&spectrum.multiply(|w| Complex64::from(low(w))), |w| (sd * low(w)).powi(2))
+}
+
+/// Acceleration alone: integrated above a tenth of the main frequency.
+pub(super) fn integrate(acceleration: &[f64], sa: f64, rate: f64) -> Fused {
+    let spectrum = Spectrum::of(acceleration, rate);
+    let total: f64 = spectrum.bins.iter().skip(1).map(|z| z.norm_sqr()).sum();
+    let mut sum = 0.0;
+    let main = (1..spectrum.bins.len()).find(|&bin| {
+        sum += spectrum.bins[bin].norm_sqr();
+        sum > 0.01 * total
+    });
+    let low_cut = 0.3 * spectrum.omega_rad_s(main.unwrap_or(1)).max(1e-9);
+    let high = move |w: f64| {
+        let h = (w / low_cut).powi(6);
+        h / (1.0 + h)
+    };
+    let weight = move |w: f64| if w > 0.0 { -high(w) / (w * w) } else { 0.0 };
+    derivatives(&spectrum.multiply(|w| Complex64::from(weight(w))), |w| (sa * weight(w)).powi(2))
+}
+
+/// The channel, its first and second derivative, and their noise from a density a bin.
+fn derivatives(spectrum: &Spectrum, density: impl Fn(f64) -> f64 + Sync) -> Fused {
+    let bins = spectrum.bins.len();
+    let derived = parallel::map(&[0, 1, 2], parallel::cores(), |&order: &i32| {
+        let at = |b: usize| spectrum.omega_rad_s(b);
+        let sum: f64 = (0..bins).map(at).map(|w| density(w) * w.powi(2 * order)).sum();
+        let derived = match order {
+            0 => spectrum.clone(),
+            1 => spectrum.clone().multiply(|w| Complex64::new(0.0, w)),
+            _ => spectrum.clone().multiply(|w| Complex64::from(-w * w)),
+        };
+        (derived.channel(), (sum / bins as f64).sqrt())
+    });
+    let [displacement, velocity, acceleration] = <[_; 3]>::try_from(derived).unwrap_or_default();
+    Fused {
+        displacement_m: displacement.0,
+        velocity_m_s: velocity.0,
+        acceleration_m_s2: acceleration.0,
+        displacement_noise_m: displacement.1,
+        velocity_noise_m_s: velocity.1,
+        acceleration_noise_m_s2: acceleration.1,
+    }
+}
+
+/// Highest angular frequency at which the smoothed spectrum stands above the noise.
+fn signal_end_rad_s(spectrum: &Spectrum, noise: f64) -> f64 {
+    let floor = 4.0 * spectrum.bins.len() as f64 * 2.0 * noise * noise;
+    let width = (spectrum.bins.len() / 400).max(4);
+    let mut end = width;
+    for (i, chunk) in spectrum.bins.chunks(width).enumerate() {
+        let mean = chunk.iter().map(|z| z.norm_sqr()).sum::<f64>() / chunk.len() as f64;
+        if mean > floor {
+            end = (i + 1) * width;
+        }
+    }
+    spectrum.omega_rad_s(end.min(spectrum.bins.len() - 1)).max(spectrum.omega_rad_s(1))
+}
