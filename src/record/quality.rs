@@ -229,7 +229,9 @@ fn comes_to_rest(values: &[f64], level: f64) -> bool {
     let (mut first, mut speeds) = (0, Vec::new());
     for run in values.chunk_by(|a, b| a == b) {
         if run[0] == level && run.len() >= BEFORE && first >= BEFORE {
-            speeds.push((level - values[first - BEFORE]).abs() / BEFORE as f64);
+            // The farthest of them: noise at the edge of a cut returns at once.
+            let away = values[first - BEFORE..first].iter().map(|x| (level - x).abs()).fold(0.0, f64::max);
+            speeds.push(away / BEFORE as f64);
         }
         first += run.len();
     }
