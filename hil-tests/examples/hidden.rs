@@ -1,5 +1,6 @@
 //! Study of the diagnosis on records with a hidden effect: makes cases from seeds, diagnoses each,
-//! prints one line a case (tab separated) and a summary: verdicts, how many 95 % intervals hold the truth where it was named,
+//! prints one line a case (tab separated), with the effects' numbers whose 95 % interval does not hold the truth, and a summary:
+//! verdicts, how many intervals hold the truth where it was named, number by number,
 //! held-out error over noise floor, how often what was named is there by its probability. With `--told true` wrong verdicts are
 //! laid beside the specimen itself; with `--shaking noise` the table moves as in an earthquake. Studies: `blind`, `healthy`,
 //! `outside`, `pairs`, and `removed`, where the effect and its twin are taken out of the catalogue. Never quote seeds that were
@@ -9,6 +10,7 @@
 
 use hil_tests::arguments;
 use hil_tests::hidden::{self, Hidden, Recipe, Shaking};
+use shaketable::diagnose::report::{NamedEffect, ParameterEstimate};
 use shaketable::diagnose::search::{Effort, Searcher};
 use shaketable::diagnose::trial::Trial;
 use shaketable::diagnose::verdict::{self, Thresholds};
@@ -48,9 +50,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let removed = study == "removed";
     let all = if removed { hidden::of_motion() } else { hidden::studied() };
     let mut tally: BTreeMap<&str, usize> = BTreeMap::new();
-    let (mut cases, mut effect) = (0, Coverage::default());
+    let mut cases = 0;
     let mut over_floor: Vec<f64> = Vec::new();
-    let mut deviations: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+    // Of the model's own numbers and of the effects', in standard deviations.
+    let mut deviations: [BTreeMap<String, Vec<f64>>; 2] = Default::default();
     // Probability of each effect that was named, and whether the specimen has it.
     let mut said: Vec<(f64, bool)> = Vec::new();
     for seed in seeds {
@@ -112,13 +115,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         *tally.entry(found.verdict.name()).or_default() += 1;
         said.extend(found.effects.iter().map(|e| (e.probability, effects.contains(&e.name.as_str()))));
         if right {
-            let (own, of_effects) = (base_intervals(&found, &case), effect_intervals(&found, &case));
             if verbose {
                 tell_numbers(&found, &case);
-                tell_effects(&found, &case);
             }
-            own.into_iter().for_each(|(key, off)| deviations.entry(key).or_default().push(off));
-            of_effects.into_iter().for_each(|inside| effect.count(inside));
+            tell_effects(&found, &case, verbose);
+            let of = [base_intervals(&found, &case), effect_intervals(&found, &case)];
+            for (deviations, of) in deviations.iter_mut().zip(of) {
+                of.into_iter().for_each(|(key, off)| deviations.entry(key).or_default().push(off));
+            }
             over_floor.push(found.error_after / found.noise_floor);
         }
         if !right || verbose || found.effects.len() > effects.len().max(1) {
@@ -169,14 +173,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             of.len()
         );
     }
-    let mut base = Coverage::default();
-    for (key, off) in &deviations {
-        let rms = (off.iter().map(|x| x * x).sum::<f64>() / off.len() as f64).sqrt();
-        let mut of_key = Coverage::default();
-        off.iter().for_each(|x| of_key.count(x.abs() <= 1.96));
-        base = Coverage { inside: base.inside + of_key.inside, all: base.all + of_key.all };
-        println!("{key}: {of_key} intervals hold the truth; rms {rms:.2} standard deviations");
-    }
+    let [base, effect] = deviations.map(|deviations| {
+        let mut together = Coverage::default();
+        for (key, off) in &deviations {
+            let rms = (off.iter().map(|x| x * x).sum::<f64>() / off.len() as f64).sqrt();
+            let mut of_key = Coverage::default();
+            off.iter().for_each(|off| of_key.count(holds(*off)));
+            together = Coverage { inside: together.inside + of_key.inside, all: together.all + of_key.all };
+            println!("{key}: {of_key} intervals hold the truth; rms {rms:.2} standard deviations");
+        }
+        together
+    });
     over_floor.sort_by(f64::total_cmp);
     let quantile =
         |q: f64| over_floor.get((q * over_floor.len() as f64) as usize).copied().unwrap_or(f64::NAN);
@@ -244,22 +251,30 @@ fn tell_numbers(found: &Diagnosis, case: &Hidden) {
     }
 }
 
-/// The same of the effects' own, with how many standard deviations they are off where an interval is symmetric.
-fn tell_effects(found: &Diagnosis, case: &Hidden) {
-    for named in &found.effects {
-        let Some(hidden) = case.truth.effects.iter().find(|effect| effect.name == named.name) else {
-            continue;
-        };
-        for (name, p) in &named.parameters {
-            if let Some(truth) = hidden.parameters.get(name) {
-                let off = off(p.value, (p.low95, p.high95), *truth);
-                println!(
-                    "\t\t{}.{name} {:.4e} ({:.4e} to {:.4e}), is {truth:.4e} ({off:+.1} standard deviations)",
-                    named.name, p.value, p.low95, p.high95
-                );
-            }
+/// The same of the effects' own, with how many standard deviations they are off: of all, or those alone that are off.
+fn tell_effects(found: &Diagnosis, case: &Hidden, all: bool) {
+    for (named, name, p, truth) in beside_truth(found, case) {
+        let off = off(p.value, (p.low95, p.high95), truth);
+        if all || !holds(off) {
+            println!(
+                "\t\t{}.{name} {:.4e} ({:.4e} to {:.4e}), is {truth:.4e} ({off:+.1} standard deviations)",
+                named.name, p.value, p.low95, p.high95
+            );
         }
     }
+}
+
+/// The parameters of the effects that are there and were named, each with its name and the truth.
+fn beside_truth<'a>(
+    found: &'a Diagnosis,
+    case: &'a Hidden,
+) -> impl Iterator<Item = (&'a NamedEffect, &'a String, &'a ParameterEstimate, f64)> {
+    let hidden = |name: &str| case.truth.effects.iter().find(|effect| effect.name == name);
+    let pairs = found.effects.iter().filter_map(move |named| Some((named, hidden(&named.name)?)));
+    pairs.flat_map(|(named, hidden)| {
+        let truth = |name: &String| hidden.parameters.get(name).copied();
+        named.parameters.iter().filter_map(move |(name, p)| Some((named, name, p, truth(name)?)))
+    })
 }
 
 /// Intervals that hold the truth, of how many.
@@ -297,16 +312,15 @@ fn off(value: f64, (low95, high95): (f64, f64), truth: f64) -> f64 {
     1.96 * (value - truth) / if truth < value { value - low95 } else { high95 - value }
 }
 
+/// Whether a 95 % interval holds the truth that is so many of its standard deviations off.
+fn holds(off: f64) -> bool {
+    off.abs() <= 1.96
+}
+
 /// The same of the parameters of the effects that were named rightly.
-fn effect_intervals(found: &Diagnosis, case: &Hidden) -> Vec<bool> {
-    let hidden = |name: &str| case.truth.effects.iter().find(|effect| effect.name == name);
-    let pairs = found.effects.iter().filter_map(|named| Some((named, hidden(&named.name)?)));
-    pairs
-        .flat_map(|(named, hidden)| {
-            let of = |(name, p): (&String, &shaketable::diagnose::report::ParameterEstimate)| {
-                hidden.parameters.get(name).map(|truth| p.low95 <= *truth && *truth <= p.high95)
-            };
-            named.parameters.iter().filter_map(of).collect::<Vec<bool>>()
-        })
-        .collect()
+fn effect_intervals(found: &Diagnosis, case: &Hidden) -> Vec<(String, f64)> {
+    let off = |(named, name, p, truth): (&NamedEffect, &String, &ParameterEstimate, f64)| {
+        (format!("{}.{name}", named.name), off(p.value, (p.low95, p.high95), truth))
+    };
+    beside_truth(found, case).map(off).collect()
 }
