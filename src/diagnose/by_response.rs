@@ -152,7 +152,7 @@ impl Searcher<'_> {
             match again.filter(|again| verdict::apart(again, &trial) > 0.0) {
                 Some(again) => trial = again,
                 None => {
-                    trial.refit.limits = profile.limits;
+                    trial.refit.limits = self.whatever_the_shape(measured, &trial, profile.limits);
                     break;
                 }
             }

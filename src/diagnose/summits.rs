@@ -46,6 +46,32 @@ impl Searcher<'_> {
         });
     }
 
+    /// Limits of the numbers of an explanation that hold although the shape of its last effect was left out: it was since it did not pay,
+    /// not since it is known, and the other numbers go with it.
+    pub(super) fn whatever_the_shape(
+        &self,
+        measured: &Measured<'_>,
+        trial: &Trial,
+        mut limits: Vec<(f64, f64)>,
+    ) -> Vec<(f64, f64)> {
+        let scales = candidates::scales(&trial.refit.spec, self.motion);
+        let more = |shaped: &Trial| shaped.refit.numbers.numbers.len() > trial.refit.numbers.numbers.len();
+        let shaped = with_shape(trial, &scales).filter(more);
+        let shaped = shaped.and_then(|shaped| trial::respond(measured, &shaped, None, OF_SHAPE));
+        // It contains what it began from; a fit that lost it says nothing.
+        let Some(shaped) = shaped.filter(|shaped| shaped.training_gain(trial) > -WORTH) else {
+            return limits;
+        };
+        let shaped = self.bounded(shaped).refit;
+        for (number, limit) in trial.refit.numbers.numbers.iter().zip(&mut limits) {
+            let place = shaped.numbers.numbers.iter().position(|other| other.key == number.key);
+            if let Some((low, high)) = place.and_then(|place| shaped.limits.get(place)) {
+                *limit = (limit.0.min(*low), limit.1.max(*high));
+            }
+        }
+        limits
+    }
+
     /// A stand's likelihood has a summit for every number of ringings between two contacts: those beside the one that was found, for as
     /// long as they are higher.
     pub(super) fn ringing(&self, measured: &Measured<'_>, best: &mut Trial, scales: &Scales) {
@@ -209,5 +235,23 @@ mod tests {
             add(&record, &b1_g2(), &effect("coulomb-friction", &[("fc_n", 5.0)]), &[]).expect("fitted");
         let over = added.parameters.iter().find(|p| p.key == format!("effect[0].{TURNING}")).expect("said");
         assert_eq!((over.before, Some(&over.value)), (0.0, added.model.effects[0].parameters.get(TURNING)));
+    }
+
+    #[test]
+    fn limits_hold_although_a_shape_was_left_out() {
+        let mut truth = b1_g2();
+        let shape = [("kh_n_m", 1400.0), ("dy_m", 7e-4), ("n", 1.45), ("beta", 0.67), ("gamma", 0.33)];
+        truth.effects.push(effect("bouc-wen-hysteresis", &shape));
+        let mut record = seen(&truth, 33);
+        record.table_displacement_m.clear();
+        let found = diagnose(&record, &b1_g2(), &Options::default()).expect("a sound record");
+        let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+        assert_eq!(names, ["bouc-wen-hysteresis"]);
+        let told = &found.effects[0].parameters;
+        assert!(!told.contains_key("n"), "this record tells the shape: {told:?}");
+        for (name, truth) in &shape[..2] {
+            let told = &told[*name];
+            assert!((told.low95..told.high95).contains(truth), "{name}: {told:?}");
+        }
     }
 }
