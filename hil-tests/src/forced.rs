@@ -86,8 +86,21 @@ fn noise(random: &mut Pcg64, rms: f64) -> f64 {
     rms * random.sample::<f64, _>(StandardNormal)
 }
 
-/// Waves up to 200 Hz drive an oscillator at some 70 Hz for most of a minute, seen 610 times a second.
+/// Waves up to 200 Hz drive an oscillator at some 70 Hz for most of a minute, seen 610 times a second by its displacement.
 pub fn waves(body: &Body, seed: u64) -> Record {
+    driven(body, seed, |record, (x, _), _, random| {
+        record.displacement_m.push(x + noise(random, 2e-4));
+    })
+}
+
+/// The same, seen by its acceleration alone.
+pub fn felt_waves(body: &Body, seed: u64) -> Record {
+    driven(body, seed, |record, (x, v), force_n, random| {
+        record.acceleration_m_s2.push(body.free_m_s2(force_n, x, v) + noise(random, 30.0));
+    })
+}
+
+fn driven(body: &Body, seed: u64, mut see: impl FnMut(&mut Record, (f64, f64), f64, &mut Pcg64)) -> Record {
     const RATE_HZ: f64 = 610.35;
     const FINE: usize = 32;
     const SAMPLES: usize = 24_000;
@@ -112,11 +125,37 @@ pub fn waves(body: &Body, seed: u64) -> Record {
     for i in 0..SAMPLES {
         record.time_s.push(i as f64 / RATE_HZ);
         record.force_n.push(force + noise(&mut random, 2e-4));
-        record.displacement_m.push(state.0 + noise(&mut random, 2e-4));
+        see(&mut record, state, force, &mut random);
         for _ in 0..FINE {
             let forces = [force, next(), next()];
             body.swing(&mut state, forces, 2.0 * half_s);
             force = forces[2];
+        }
+    }
+    record
+}
+
+/// A converter holds each sample of the force that pushes an axis to and fro for half a minute, 1000 a second; its place is seen to two micrometres.
+pub fn held(body: &Body, seed: u64) -> Record {
+    const RATE_HZ: f64 = 1000.0;
+    const FINE: usize = 32;
+    const SAMPLES: usize = 25_000;
+    const WAVES_HZ: [f64; 5] = [0.3, 0.7, 1.1, 1.9, 3.1];
+    let mut random = Pcg64::seed_from_u64(seed);
+    let waves: Vec<(f64, f64, f64)> = WAVES_HZ
+        .iter()
+        .map(|hz| (TAU * hz, random.random_range(15.0..40.0), random.random_range(0.0..TAU)))
+        .collect();
+    let mut record = Record::empty("held", Kind::Force, RATE_HZ);
+    let mut state = (0.0, 0.0);
+    for i in 0..SAMPLES {
+        let t = i as f64 / RATE_HZ;
+        let force_n = waves.iter().map(|(w, n, phase)| n * (w * t + phase).sin()).sum();
+        record.time_s.push(t);
+        record.force_n.push(force_n);
+        record.displacement_m.push(state.0 + noise(&mut random, 2e-6));
+        for _ in 0..FINE {
+            body.swing(&mut state, [force_n; 3], 1.0 / (RATE_HZ * FINE as f64));
         }
     }
     record

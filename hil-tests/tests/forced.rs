@@ -1,6 +1,6 @@
 //! The diagnosis on records of an applied force from other rigs: other magnitudes, few samples a cycle, nothing that holds the mass.
 
-use hil_tests::forced::{Body, axis, waves};
+use hil_tests::forced::{Body, axis, felt_waves, held, waves};
 use shaketable::compare::compare;
 use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose};
 use shaketable::model::ModelSpec;
@@ -67,6 +67,39 @@ fn a_spring_that_bends_is_named_at_nine_samples_a_cycle() {
     let k3 = &found.effects[0].parameters["k3_n_m3"];
     assert!((k3.value - 2.0).abs() < 0.02, "{k3:?}");
     assert!(found.error_after < 0.1 * found.error_reidentified);
+}
+
+#[test]
+fn an_oscillator_that_is_only_felt_lacks_nothing() {
+    let found = found(&felt_waves(&OSCILLATOR, 7), &OSCILLATOR.nominal("oscillator", 8));
+    assert_eq!(found.verdict, Verdict::Adequate, "{:?} {:?}", found.effects, found.refused);
+    assert!(found.error_after < 1.05 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+    for (key, truth) in
+        [("mass_kg", 5.2e-6), ("isolator.stiffness_n_m[0]", 1.0), ("isolator.damping_n_s_m", 2.1e-4)]
+    {
+        let number = found.reidentified.iter().find(|number| number.key == key).expect("identified");
+        assert!((number.value / truth - 1.0).abs() < 2e-3, "{key}: {} is {truth}", number.value);
+    }
+}
+
+#[test]
+fn a_spring_that_bends_is_named_by_the_acceleration_alone() {
+    let body = Body { cubic_n_m3: 2.0, ..OSCILLATOR };
+    let found = found(&felt_waves(&body, 9), &body.nominal("oscillator", 10));
+    assert_eq!(found.verdict, Verdict::Missing, "{:?} {:?}", found.effects, found.refused);
+    assert_eq!(found.effects.iter().map(|e| e.name.as_str()).collect::<Vec<_>>(), ["cubic-stiffness"]);
+    let k3 = &found.effects[0].parameters["k3_n_m3"];
+    assert!((k3.value - 2.0).abs() < 0.01, "{k3:?}");
+    // Its harmonics fill the band, and are not taken for noise.
+    assert!(found.error_after < 0.05 * found.error_reidentified && found.noise_floor < 0.05);
+}
+
+#[test]
+fn an_axis_whose_force_is_held_between_samples_lacks_nothing() {
+    let body = Body { friction_n: 0.0, ..AXIS };
+    let found = found(&held(&body, 11), &body.nominal("axis", 12));
+    assert_eq!(found.verdict, Verdict::Adequate, "{:?} {:?}", found.effects, found.refused);
+    assert!(found.error_after < 1.05 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
 }
 
 #[test]

@@ -99,21 +99,43 @@ pub fn diagnose_together(
         parts.push((motion, Setting::between(nominal, model)?));
     }
     let motion = Motion::together(parts)?;
+    let mut out = of_motion(tests, options, motion, (findings, notes), QUIETER)?;
+    out.wall_s = begun.elapsed().as_secs_f64();
+    Ok(out)
+}
+
+/// So many times at most the noise is taken to be what a diagnosis leaves.
+const QUIETER: usize = 2;
+
+/// Diagnoses the motion of the tests; once more with the noise that is left, where that is less than the record showed.
+fn of_motion(
+    tests: &[(&Record, &ModelSpec)],
+    options: &Options,
+    motion: Motion,
+    (mut findings, notes): (Vec<(usize, Finding)>, Vec<String>),
+    again: usize,
+) -> Result<Diagnosis, DiagnoseError> {
+    let Some((_, nominal)) = tests.first() else {
+        return Err(MotionError::TooShort { samples: 0, needed: 1 }.into());
+    };
     let searcher = Searcher::new(&motion, nominal, options.effort).without(&options.without);
     let diverges = || DiagnoseError::Diverges { name: nominal.name.clone() };
     let search = searcher.search(nominal, options.thresholds).ok_or_else(diverges)?;
     let mut decision = verdict::decide(&search, &searcher, options.thresholds);
+    if again > 0
+        && let Some(quieter) = searcher.quieter(&decision.chosen)
+    {
+        return of_motion(tests, options, quieter, (findings, notes), again - 1);
+    }
     decision.chosen = searcher.bounded(decision.chosen);
     let gains = searcher.gains(&decision.chosen);
     for (i, finding) in &mut findings {
         gains.get(*i).copied().into_iter().for_each(|gains| finding.sharpen(gains));
     }
     let findings: Vec<Finding> = findings.into_iter().map(|(_, finding)| finding).collect();
-    let mut out = Composer { tests, nominal, options, motion: &motion, searcher: &searcher }
+    Composer { tests, nominal, options, motion: &motion, searcher: &searcher }
         .compose(&search, decision, &findings, notes)
-        .ok_or_else(diverges)?;
-    out.wall_s = begun.elapsed().as_secs_f64();
-    Ok(out)
+        .ok_or_else(diverges)
 }
 
 /// What is to be said of a record; refuses one that is not fit before any physics is blamed, unless it is to be used anyway.

@@ -3,7 +3,12 @@
 use super::search::Searcher;
 use super::trial::Trial;
 use crate::identify::kinematics::Estimate;
+use crate::identify::motion::{FINEST, Motion};
 use crate::identify::problem::{OutputError, Part};
+use crate::record::Kind;
+
+/// What is left is clearly less than noise when it is below this share of it.
+const CLEARLY_LESS: f64 = 0.7;
 
 impl Searcher<'_> {
     /// Errors of the simulated response step by step, each with the number of its window: with what belongs to each step estimated
@@ -31,6 +36,29 @@ impl Searcher<'_> {
         let errors = self.measured.as_ref()?.errors(&trial.refit.spec, Part::HeldOut, held_out)?;
         let error = self.problem().sum(&errors, Part::HeldOut)?;
         Some(error.nrmse() / error.noise_floor(self.motion))
+    }
+
+    /// The motion with less noise, where what a trial leaves of a force record is clearly less than was taken for noise: a force or its
+    /// harmonics that fill the upper band look like it.
+    pub fn quieter(&self, trial: &Trial) -> Option<Motion> {
+        if self.motion.kind != Kind::Force || trial.response.is_none() {
+            return None;
+        }
+        let all = self.errors(trial)?.iter().fold(OutputError::default(), |sum, (_, error)| sum.with(error));
+        let rms = |sum: f64| (sum / all.count.max(1) as f64).sqrt();
+        let finest = self.motion.finest();
+        let mut quieter = self.motion.clone();
+        let mut less = false;
+        for (left, noise) in [
+            (rms(all.sum_a).max(finest * rms(all.power_a)), &mut quieter.restoring_noise_m_s2),
+            (rms(all.sum_d).max(FINEST * rms(all.power_d)), &mut quieter.laser_noise_m),
+        ] {
+            // Nothing is left of a channel that was not measured.
+            if left > 0.0 && left < CLEARLY_LESS * *noise {
+                (*noise, less) = (left, true);
+            }
+        }
+        less.then_some(quieter)
     }
 
     /// What a model's response says of each record's gains; nothing where it does not follow them.

@@ -376,6 +376,10 @@ impl<'a> Searcher<'a> {
             {
                 break;
             }
+            // What an applied force leaves to find there is fainter than what a solver makes of it.
+            if depth > 0 && verdict::is_all_of_a_force(self, &from, thresholds) {
+                break;
+            }
             let mut stage = self.stage(&from);
             // Of a second stage only where it brings anything: what it goes on from may have stopped short.
             let asked = depth == 0 || stage.finalists.iter().any(|t| verdict::brings(t, &from, thresholds));

@@ -106,6 +106,8 @@ pub struct Response {
     pub freedom_nats: f64,
     /// Share of the steps in which impacts kick the table.
     pub kicked: f64,
+    /// A sampled force drives it.
+    pub forced: bool,
 }
 
 impl Response {
@@ -153,7 +155,8 @@ pub fn judge_response(
     let refit = measured.refit(&spec, &numbers, &training, left[0].colour);
     let freedom_nats = measured.freedom_nats(&numbers, &training, left[0].colour);
     let kicked = measured.kicked();
-    let response = Some(Response { training, held_out, left, freedom_nats, kicked });
+    let forced = measured.is_forced();
+    let response = Some(Response { training, held_out, left, freedom_nats, kicked, forced });
     Some(Trial { refit, response, ..trial.clone() })
 }
 

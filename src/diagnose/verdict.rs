@@ -56,6 +56,9 @@ pub struct Thresholds {
     /// Share of the base model's misfit of a force record, in structure and in power of the error, below which what explains the rest
     /// stands although something is left.
     pub nearly: f64,
+    /// Share of the error that an effect must take away from the response to a sampled force, and structure that does not count there beside
+    /// an error that is that of the noise: what a solver makes of a force between samples is known no better.
+    pub faint: [f64; 2],
     /// Error of the simulated response of held-out steps over the noise's that a complete explanation does not have, steps beside
     /// which a stiff contact leads elsewhere included.
     pub over_noise: f64,
@@ -81,6 +84,7 @@ impl Default for Thresholds {
             structure: 0.03,
             beside: [3.0, 0.02],
             nearly: 0.05,
+            faint: [0.02, 0.1],
             over_noise: 1.05,
             tie: 6.0,
             left: 0.2,
@@ -106,7 +110,10 @@ impl Thresholds {
         let [each, together] = if from.names.is_empty() { self.response } else { self.further };
         let of_bumpers = effects::find(&last_name(trial))
             .is_ok_and(|effect| matches!(effect.place, Place::Bumper | Place::Stand));
-        [each, together + if of_bumpers { self.doubt(response) } else { 0.0 }]
+        let doubt = if of_bumpers { self.doubt(response) } else { 0.0 };
+        let independent = response.count() as f64 / response.colour().max(1.0);
+        let faint = if response.forced { self.faint[0] * independent } else { 0.0 };
+        [each, together + doubt + faint]
     }
 }
 
@@ -260,7 +267,8 @@ fn by_response(
             && !taken.names.is_empty()
             && taken.share_left(base).max(left(taken) / left(base).max(1e-3)) < thresholds.nearly
     };
-    if (told_by_structure || told_by_error() || told_by_shape()) && !nearly_all() {
+    let faint = || taken.names.is_empty() && is_all_of_a_force(searcher, taken, thresholds);
+    if (told_by_structure || told_by_error() || told_by_shape()) && !nearly_all() && !faint() {
         Verdict::OutsideCatalogue
     } else if taken.names.is_empty() {
         Verdict::Adequate
@@ -269,6 +277,14 @@ fn by_response(
     } else {
         Verdict::Ambiguous
     }
+}
+
+/// Whether what a trial leaves of a force record is noise but for what a solver makes of the force.
+pub fn is_all_of_a_force(searcher: &Searcher<'_>, trial: &Trial, thresholds: Thresholds) -> bool {
+    searcher.motion.kind == Kind::Force
+        && trial.response.is_some()
+        && trial.excess() < thresholds.faint[1]
+        && searcher.over_noise(trial).is_some_and(|times| times <= thresholds.over_noise)
 }
 
 /// What brings so many times what is asked of all steps together need not bring its part on each of them.

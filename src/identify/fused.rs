@@ -32,6 +32,7 @@ impl Fused {
             velocity_m_s: self.velocity_m_s,
             restoring_m_s2: Vec::new(),
             drive_m_s2: Vec::new(),
+            seen_drive_m_s2: Vec::new(),
             laser_m: Vec::new(),
             windows: Vec::new(),
             table_crossover_rad_s: 0.0,
@@ -71,7 +72,7 @@ pub(super) fn differentiate(displacement: &[f64], sd: f64, rate: f64) -> Fused {
 
 /// Acceleration alone: integrated above a tenth of the main frequency.
 pub(super) fn integrate(acceleration: &[f64], sa: f64, rate: f64) -> Fused {
-    let spectrum = Spectrum::of(acceleration, rate);
+    let spectrum = Spectrum::fading(acceleration, rate);
     let total: f64 = spectrum.bins.iter().skip(1).map(|z| z.norm_sqr()).sum();
     let mut sum = 0.0;
     let main = (1..spectrum.bins.len()).find(|&bin| {
@@ -123,4 +124,24 @@ fn signal_end_rad_s(spectrum: &Spectrum, noise: f64) -> f64 {
         }
     }
     spectrum.omega_rad_s(end.min(spectrum.bins.len() - 1)).max(spectrum.omega_rad_s(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::TAU;
+
+    #[test]
+    fn an_acceleration_that_ends_anywhere_is_integrated_without_running_away() {
+        let (rate, w) = (610.0, TAU * 68.0);
+        for samples in [6000, 6001, 6002, 6003, 6004] {
+            let acceleration: Vec<f64> =
+                (0..samples).map(|i| -w * w * (w * f64::from(i) / rate + 0.7).sin()).collect();
+            let fused = integrate(&acceleration, 1e-3, rate);
+            let off = |i: usize| (fused.displacement_m[i] - (w * i as f64 / rate + 0.7).sin()).abs();
+            let [inner, outer] = [50..samples as usize - 50, 0..samples as usize]
+                .map(|range| range.map(off).fold(0.0, f64::max));
+            assert!(inner < 0.03 && outer < 0.5, "{samples}: {inner} {outer}");
+        }
+    }
 }

@@ -83,6 +83,8 @@ pub struct Motion {
     pub restoring_m_s2: Vec<f64>,
     /// What drives a simulation: the table acceleration that is equivalent to the input, m/s2.
     pub drive_m_s2: Vec<f64>,
+    /// The same as it was seen, where a solver is given something else to make up for what it makes of samples; else empty.
+    pub(super) seen_drive_m_s2: Vec<f64>,
     /// Displacement as the laser saw it, instruments corrected, m; empty where none was measured.
     pub laser_m: Vec<f64>,
     /// Steady stretches.
@@ -131,7 +133,13 @@ pub enum MotionError {
 
 const FEWEST: usize = 256;
 /// No chain of sensor and converter is straight to better than this, over the rms of what it shows.
-const FINEST: f64 = 1e-6;
+pub(crate) const FINEST: f64 = 1e-6;
+/// Samples in a cycle below which jumps of an acceleration are left as they are: spreading them takes a hundredth off what has nine, and a
+/// third off what has three.
+const FEW: f64 = 20.0;
+/// How well a solver that joins samples of a force by straight lines then tells the force of a dashpot, over the rms of the restoring force:
+/// displacements are made up for, velocities between the samples are others.
+const COARSE: f64 = 2e-3;
 /// Noise over the rms of a force from which on the upper part of the spectrum is taken for force, and what its sensor's noise is then
 /// taken to be.
 const FILLED: f64 = 0.3;
@@ -179,6 +187,10 @@ impl Motion {
         };
         motion.mass_kg = mass_kg;
         motion.windows = windows::cut(record, &motion, farthest);
+        if motion.is_coarse() {
+            let solver = COARSE * motion.restoring_rms_m_s2();
+            motion.restoring_noise_m_s2 = motion.restoring_noise_m_s2.hypot(solver);
+        }
         motion.note_reversals();
         motion.remove_acceleration_zeros();
         motion.remove_noise_of_the_table();
@@ -190,6 +202,17 @@ impl Motion {
         1.0 / self.sample_rate_hz
     }
 
+    /// The acceleration of an applied force's record has so few samples in a cycle that what a jump is spread over is as long as what moves.
+    pub(super) fn is_coarse(&self) -> bool {
+        let few = self.sample_rate_hz < FEW * self.median_frequency_hz();
+        self.kind == Kind::Force && self.sees_acceleration && few
+    }
+
+    /// The least noise that a restoring force can have, over its rms.
+    pub(crate) fn finest(&self) -> f64 {
+        if self.is_coarse() { COARSE } else { FINEST }
+    }
+
     /// What drives a simulation of a model over what drives it for the mass that the motion was made with: a force drives a heavier mass
     /// less.
     pub(super) fn driven_by(&self, spec: &ModelSpec) -> f64 {
@@ -198,6 +221,11 @@ impl Motion {
             Kind::Force => self.mass_kg / (spec.mass_kg + errors.sum::<f64>()),
             Kind::Base | Kind::Component => 1.0,
         }
+    }
+
+    /// What drives a simulation at a sample, as the restoring force has it, m/s2.
+    pub(super) fn seen_to_drive_m_s2(&self, n: usize) -> f64 {
+        self.seen_drive_m_s2.get(n).copied().unwrap_or_else(|| self.drive_m_s2[n])
     }
 
     /// RMS of the restoring force over the mass in the windows, m/s2.
@@ -372,6 +400,7 @@ fn forced(record: &Record, mass_kg: f64) -> Result<Motion, MotionError> {
     Ok(Motion {
         restoring_m_s2: over_mass.iter().zip(&seen).map(|(f, a)| f - a).collect(),
         drive_m_s2: along_straight_lines(&over_mass, rate, held).into_iter().map(|f| -f).collect(),
+        seen_drive_m_s2: over_mass.iter().map(|f| -f).collect(),
         laser_m: displacement.map(<[f64]>::to_vec).unwrap_or_default(),
         sees_acceleration: acceleration.is_some(),
         drive_noise_m_s2,

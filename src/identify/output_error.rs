@@ -19,7 +19,7 @@ pub struct OutputError {
 
 impl OutputError {
     /// The sum of two.
-    pub(super) fn with(self, other: &Self) -> Self {
+    pub(crate) fn with(self, other: &Self) -> Self {
         Self {
             sum_a: self.sum_a + other.sum_a,
             power_a: self.power_a + other.power_a,

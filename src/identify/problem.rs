@@ -186,7 +186,7 @@ impl<'a> Problem<'a> {
             let mut n = from;
             while n < window.range.end {
                 let response = specimen.impose(motion.displacement_m[n] + shift_m, motion.velocity_m_s[n]);
-                let more = if lighter == 0.0 { 0.0 } else { lighter * motion.drive_m_s2[n] };
+                let more = if lighter == 0.0 { 0.0 } else { lighter * motion.seen_to_drive_m_s2(n) };
                 forces.push(-response.mass_acceleration_m_s2 - more);
                 n += self.thin;
             }
@@ -365,7 +365,7 @@ impl<'a> Problem<'a> {
         for n in free_from..window.range.end {
             let response = specimen.step(drive(n));
             if n >= window.range.start {
-                let a = response.mass_acceleration_m_s2 + motion.drive_m_s2[n] - drive(n);
+                let a = response.mass_acceleration_m_s2 + (1.0 - share) * motion.seen_to_drive_m_s2(n);
                 each(n, a, response.relative_displacement_m - shift_m);
             }
         }

@@ -41,6 +41,26 @@ impl Spectrum {
             let u = (i as f64 + 1.0) / (fill as f64 + 1.0);
             tail + (head - tail) * u * u * (3.0 - 2.0 * u)
         }));
+        Self::of_extended(extended, samples, padding, sample_rate_hz)
+    }
+
+    /// The same of a channel that is to be integrated: reflected about zero at both ends and faded out there. Reflected about where it
+    /// happens to be when the record ends, an oscillation would have a mean beyond, and its integral would run away.
+    pub fn fading(channel: &[f64], sample_rate_hz: f64) -> Self {
+        let samples = channel.len();
+        let padding = ((2.0 * sample_rate_hz) as usize).min(samples.saturating_sub(1));
+        let length = fast_length(samples + 2 * padding);
+        let fade = |i: usize| 0.5 * (1.0 + (std::f64::consts::PI * i as f64 / (padding as f64 + 1.0)).cos());
+        let mut extended = Vec::with_capacity(length);
+        extended.extend((1..=padding).rev().map(|i| -fade(i) * channel[i]));
+        extended.extend_from_slice(channel);
+        extended.extend((1..=padding).map(|i| -fade(i) * channel[samples - 1 - i]));
+        extended.resize(length, 0.0);
+        Self::of_extended(extended, samples, padding, sample_rate_hz)
+    }
+
+    fn of_extended(mut extended: Vec<f64>, samples: usize, padding: usize, sample_rate_hz: f64) -> Self {
+        let length = extended.len();
         let plan = RealFftPlanner::<f64>::new().plan_fft_forward(length);
         let mut bins = plan.make_output_vec();
         // The lengths match by construction, so the transform cannot refuse.

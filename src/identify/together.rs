@@ -156,6 +156,7 @@ impl Motion {
         self.velocity_m_s.extend(part.velocity_m_s);
         self.restoring_m_s2.extend(part.restoring_m_s2);
         self.drive_m_s2.extend(part.drive_m_s2);
+        self.seen_drive_m_s2.extend(part.seen_drive_m_s2);
         self.laser_m.extend(part.laser_m);
     }
 }

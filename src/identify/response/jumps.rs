@@ -38,7 +38,7 @@ impl Measured<'_> {
     /// Lets the samples beside the jumps of a fitted response not count, those that noise hides in the record too: a record tells a
     /// jump's instant to half a sample at best, a fit would have it tell more. Once; says whether it was done.
     pub fn learn_jumps(&self, spec: &ModelSpec, laid: [(Part, &Laid); 2]) -> bool {
-        if self.told.get().is_some() {
+        if self.told.get().is_some() || self.coarse {
             return false;
         }
         let Some(mut specimens) = self.specimens(spec) else { return false };

@@ -90,6 +90,8 @@ pub struct Measured<'a> {
     slow_start: [f64; 2],
     table_noise_m_s2: f64,
     table_zero_m_s2: f64,
+    /// Jumps of the acceleration are left as they are.
+    coarse: bool,
     /// Whether each sample of the acceleration counts, by the record alone.
     counts: Vec<bool>,
     /// The same when a fitted model has said where jumps are.
@@ -183,6 +185,7 @@ impl<'a> Measured<'a> {
             [i.laser_gain.sigma, 0.5 * (one.gain.sigma + two.gain.sigma)]
         });
         let (training, held_out) = (of(false), of(true));
+        let coarse = motion.is_coarse();
         (!training.is_empty() && !held_out.is_empty()).then(|| Self {
             motion,
             sees_displacement,
@@ -195,7 +198,9 @@ impl<'a> Measured<'a> {
             slow_start: [&motion.displacement_m, &motion.velocity_m_s].map(|x| SLOW_START * motion.rms(x)),
             table_noise_m_s2: motion.drive_noise_m_s2,
             table_zero_m_s2: zero_of_table_m_s2(motion),
+            coarse,
             counts: match motion.kind {
+                _ if coarse => vec![true; motion.restoring_m_s2.len()],
                 _ if !motion.sees_acceleration => vec![false; motion.restoring_m_s2.len()],
                 Kind::Force => {
                     beside_jumps_of_few_samples(&motion.restoring_m_s2, motion.restoring_noise_m_s2)
@@ -230,6 +235,12 @@ impl<'a> Measured<'a> {
     pub fn kicked(&self) -> f64 {
         let kicked = |k: &&usize| self.motion.windows[**k].drive_noise_m_s2 > 0.0;
         self.training.iter().filter(kicked).count() as f64 / self.training.len().max(1) as f64
+    }
+
+    /// An applied force drives it, known at its samples: what a solver makes of it between them is made up for, but for some
+    /// thousandths of the motion.
+    pub fn is_forced(&self) -> bool {
+        self.motion.kind == Kind::Force
     }
 
     fn windows(&self, part: Part) -> &[usize] {
@@ -422,10 +433,12 @@ impl<'a> Measured<'a> {
     }
 }
 
-/// Rise of a simulated sample to the next, by central differences, a sample.
+/// Rise of a simulated sample to the next, by central differences, at the ends by those to the only neighbour, a sample.
 fn slopes(simulated: &Simulated, i: usize) -> (f64, f64) {
-    let (before, after) = (simulated[i.saturating_sub(1)], simulated[(i + 1).min(simulated.len() - 1)]);
-    (0.5 * (after.0 - before.0), 0.5 * (after.1 - before.1))
+    let (first, last) = (i.saturating_sub(1), (i + 1).min(simulated.len() - 1));
+    let (before, after) = (simulated[first], simulated[last]);
+    let over = 1.0 / (last - first).max(1) as f64;
+    (over * (after.0 - before.0), over * (after.1 - before.1))
 }
 
 /// A step's share of the cost and its slope by the sum of squares.

@@ -30,15 +30,15 @@ impl Measured<'_> {
         start: &[f64],
     ) -> Simulated {
         let mut sampled = self.sampled(specimens, window, common, start);
-        sampled.spread(specimens, self.motion.sample_rate_hz);
+        if !self.coarse {
+            sampled.spread(specimens, self.motion.sample_rate_hz);
+        }
         // A is what is seen less what would have driven the mass that the motion was made with.
         if specimens.share != 1.0 {
-            let more = 1.0 / specimens.share - 1.0;
-            sampled
-                .simulated
-                .iter_mut()
-                .zip(&sampled.table_m_s2)
-                .for_each(|(of, table)| of.0 += more * table);
+            let more = 1.0 - specimens.share;
+            for (of, n) in sampled.simulated.iter_mut().zip(window.range.clone()) {
+                of.0 += more * self.motion.seen_to_drive_m_s2(n);
+            }
         }
         sampled.simulated
     }

@@ -280,3 +280,10 @@ fn a_fit_with_the_general_solver_mostly_ends_in_the_same_place_from_wherever_it_
     worst.sort_by(f64::total_cmp);
     assert!(worst[5] < 0.2, "deviations apart: {worst:?}");
 }
+
+#[test]
+fn a_line_rises_alike_at_its_ends() {
+    let line: Simulated = (0..5).map(|i| (3.0 * f64::from(i), -2.0 * f64::from(i))).collect();
+    (0..5).for_each(|i| assert_eq!(slopes(&line, i), (3.0, -2.0), "{i}"));
+    assert_eq!(slopes(&line[..1].to_vec(), 0), (0.0, 0.0));
+}
