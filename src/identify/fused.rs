@@ -70,7 +70,7 @@ pub(super) fn differentiate(displacement: &[f64], sd: f64, rate: f64) -> Fused {
     derivatives(&spectrum.multiply(|w| Complex64::from(low(w))), |w| (sd * low(w)).powi(2))
 }
 
-/// Acceleration alone: integrated above a tenth of the main frequency.
+/// Acceleration alone: integrated above 0.3 of the frequency below which a hundredth of its power lies.
 pub(super) fn integrate(acceleration: &[f64], sa: f64, rate: f64) -> Fused {
     let spectrum = Spectrum::fading(acceleration, rate);
     let total: f64 = spectrum.bins.iter().skip(1).map(|z| z.norm_sqr()).sum();
