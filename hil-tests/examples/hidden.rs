@@ -2,14 +2,14 @@
 //! prints one line a case (tab separated), with the effects' numbers whose 95 % interval does not hold the truth, and a summary:
 //! verdicts, how many intervals hold the truth where it was named, number by number,
 //! held-out error over noise floor, how often what was named is there by its probability. With `--told true` wrong verdicts are
-//! laid beside the specimen itself; with `--shaking noise` the table moves as in an earthquake. Studies: `blind`, `healthy`,
+//! laid beside the specimen itself; with `--shaking noise` the table moves as in an earthquake, with `--sensors laser-alone` fewer see the mass. Studies: `blind`, `healthy`,
 //! `outside`, `pairs`, and `removed`, where the effect and its twin are taken out of the catalogue. Never quote seeds that were
 //! developed on.
 //!
 //! `cargo run --release -p hil-tests --example hidden -- blind --seeds 1000..1200 --size 0.05 --noise 1`
 
 use hil_tests::arguments;
-use hil_tests::hidden::{self, Hidden, Recipe, Shaking};
+use hil_tests::hidden::{self, Hidden, Recipe, Sensors, Shaking};
 use shaketable::diagnose::report::{NamedEffect, ParameterEstimate};
 use shaketable::diagnose::search::{Effort, Searcher};
 use shaketable::diagnose::trial::Trial;
@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut words = std::env::args().skip(1);
     let study = words.next().unwrap_or_else(|| "blind".to_owned());
     let (mut seeds, mut size, mut noise, mut only) = (0..20u64, 0.05, 1.0, None);
-    let (mut verbose, mut told, mut shaking) = (false, false, Shaking::Sweep);
+    let (mut verbose, mut told, mut shaking, mut sensors) = (false, false, Shaking::Sweep, Sensors::All);
     arguments::each(words, |word, value| {
         match word {
             "--seeds" => seeds = arguments::seeds(&value)?,
@@ -42,13 +42,25 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                     _ => return Err(format!("--shaking {value}: sweep or noise").into()),
                 };
             }
+            "--sensors" => {
+                sensors = match value.as_str() {
+                    "all" => Sensors::All,
+                    "one-accelerometer" => Sensors::OneAccelerometer,
+                    "accelerometer-alone" => Sensors::AccelerometerAlone,
+                    "laser-alone" => Sensors::LaserAlone,
+                    _ => {
+                        let known = "all, one-accelerometer, accelerometer-alone or laser-alone";
+                        return Err(format!("--sensors {value}: {known}").into());
+                    }
+                };
+            }
             "--only" => only = Some(value),
             _ => return Ok(false),
         }
         Ok(true)
     })?;
     let removed = study == "removed";
-    let all = if removed { hidden::of_motion() } else { hidden::studied() };
+    let all = if removed || sensors != Sensors::All { hidden::of_motion() } else { hidden::studied() };
     let mut tally: BTreeMap<&str, usize> = BTreeMap::new();
     let mut cases = 0;
     let mut over_floor: Vec<f64> = Vec::new();
@@ -64,7 +76,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             _ => vec![all[seed as usize % all.len()]],
         };
         let foreign = (study == "outside").then_some(seed as usize % hidden::FOREIGN.len());
-        let recipe = Recipe { seed, effects: effects.clone(), foreign, size, noise, shaking };
+        let recipe = Recipe { seed, effects: effects.clone(), foreign, size, noise, shaking, sensors };
         let Some(case) = hidden::make(&recipe) else {
             println!("{seed}\t{}\tnot reached", effects.join("+"));
             continue;

@@ -26,12 +26,22 @@ pub struct Recipe {
     pub noise: f64,
     /// How the table moves.
     pub shaking: Shaking,
+    /// What sees the mass.
+    pub sensors: Sensors,
 }
 
 impl Recipe {
     /// A sweep of a specimen that carries effects of the catalogue, with the rig's usual noise.
     pub fn of(seed: u64, effects: &[&'static str], size: f64) -> Self {
-        Self { seed, effects: effects.to_vec(), foreign: None, size, noise: 1.0, shaking: Shaking::Sweep }
+        Self {
+            seed,
+            effects: effects.to_vec(),
+            foreign: None,
+            size,
+            noise: 1.0,
+            shaking: Shaking::Sweep,
+            sensors: Sensors::All,
+        }
     }
 }
 
@@ -42,6 +52,33 @@ pub enum Shaking {
     Sweep,
     /// Noise from below the isolator's frequency to the bumpers', which swells and ebbs as an earthquake does.
     Noise,
+}
+
+/// Sensors of the mass; other rigs have fewer than this one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sensors {
+    /// Two accelerometers and the laser.
+    All,
+    /// One accelerometer and the laser.
+    OneAccelerometer,
+    /// One accelerometer alone.
+    AccelerometerAlone,
+    /// The laser alone.
+    LaserAlone,
+}
+
+impl Sensors {
+    /// Takes the others from a record.
+    fn keep(self, record: &mut Record) {
+        if self != Self::All {
+            record.mass_acceleration_2_m_s2.clear();
+        }
+        match self {
+            Self::All | Self::OneAccelerometer => {}
+            Self::AccelerometerAlone => record.relative_displacement_m.clear(),
+            Self::LaserAlone => record.mass_acceleration_1_m_s2.clear(),
+        }
+    }
 }
 
 /// A record, the model that someone would have of it, and the truth.
@@ -121,7 +158,8 @@ pub fn make(recipe: &Recipe) -> Option<Hidden> {
         let own = effects::find("expression").ok()?;
         truth = with_effect(&truth, own, Some(text), recipe.size, &input, &mut random)?;
     }
-    let record = measure(&truth, &input, recipe.noise, &mut random)?;
+    let mut record = measure(&truth, &input, recipe.noise, &mut random)?;
+    recipe.sensors.keep(&mut record);
     Some(Hidden { record, nominal, truth })
 }
 

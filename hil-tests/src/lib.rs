@@ -3,3 +3,4 @@
 pub mod arguments;
 pub mod forced;
 pub mod hidden;
+pub mod imposed;

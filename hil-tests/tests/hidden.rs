@@ -1,6 +1,6 @@
 //! The diagnosis on records with a hidden effect; a small part of the study that the book reports.
 
-use hil_tests::hidden::{self, Recipe, Shaking};
+use hil_tests::hidden::{self, Recipe, Sensors, Shaking};
 use shaketable::compare::compare;
 use shaketable::diagnose::live::evidence;
 use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose, diagnose_together};
@@ -128,6 +128,27 @@ fn a_record_driven_by_noise_is_judged_as_one_of_steps_is() {
     let damping = &found.effects[0].parameters["c2_n_s2_m2"];
     let meant = truth.effects[0].parameters["c2_n_s2_m2"];
     assert!((damping.value - meant).abs() < 1.5 * (damping.high95 - damping.low95), "{damping:?} {meant}");
+}
+
+#[test]
+fn one_sensor_of_the_mass_is_enough() {
+    for sensors in [Sensors::OneAccelerometer, Sensors::AccelerometerAlone, Sensors::LaserAlone] {
+        for (seed, effects) in [(5_000_701, &[][..]), (5_000_702, &["cubic-stiffness"])] {
+            let recipe = Recipe { sensors, ..Recipe::of(seed, effects, 0.08) };
+            let case = hidden::make(&recipe).expect("the effect reaches its size");
+            let found = diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record");
+            let named: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+            let verdict = if effects.is_empty() { Verdict::Adequate } else { Verdict::Missing };
+            assert_eq!(
+                (found.verdict, named.as_slice()),
+                (verdict, effects),
+                "{sensors:?}: {:?}",
+                found.refused
+            );
+            let of_noise = found.error_after / found.noise_floor;
+            assert!(of_noise < 1.03, "{sensors:?}: {of_noise} of the noise");
+        }
+    }
 }
 
 #[test]

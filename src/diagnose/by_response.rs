@@ -8,7 +8,7 @@ use super::verdict;
 use crate::identify::least_squares::Settings;
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
-use crate::identify::refit::Refit;
+use crate::identify::refit::{Domain, Refit};
 use crate::identify::response::{Laid, Measured, Score, Tangent};
 use crate::model;
 use crate::model::effects::Effect;
@@ -181,8 +181,14 @@ impl Searcher<'_> {
     /// Pairs of the second effect of the best one with another first: greedy search starts without the second, and which the first
     /// is may show only beside it. It may do without any, too, where its shape came only with the pair.
     pub(super) fn exchange_first(&self, stage: &mut Stage, base: &Trial) {
-        let (Some(measured), Some(pair)) = (&self.measured, stage.finalists.first()) else { return };
+        let Some(pair) = stage.finalists.first_mut() else { return };
         let [one, _] = pair.names.as_slice() else { return };
+        let Some(measured) = &self.measured else {
+            if let Some(alone) = self.second_by_force(base, pair) {
+                *pair = alone;
+            }
+            return;
+        };
         let settings = Settings { iterations: 12, ..Settings::default() };
         let second = trial::respond(measured, &self.second_alone(base, pair), None, settings);
         let Some(second) = second else { return };
@@ -206,6 +212,15 @@ impl Searcher<'_> {
         if let Some(alone) = alone.filter(|alone| verdict::apart(best, alone) < MERGED) {
             *best = alone;
         }
+    }
+
+    /// A pair without its first effect by the force along the measured motion, where that is no worse: play bends a line, too.
+    fn second_by_force(&self, base: &Trial, pair: &Trial) -> Option<Trial> {
+        let alone = self.second_alone(base, pair);
+        let fine = Settings { iterations: 20, tolerance: 1e-6, ..Settings::default() };
+        let refit = trial::polish(self.problem(), &alone.refit, Domain::Force, fine)?;
+        let alone = trial::judge_by_force(self.problem(), &alone.names, refit)?;
+        (verdict::apart(pair, &alone) < MERGED).then_some(alone)
     }
 
     /// A pair without its first effect, to be fitted.

@@ -99,7 +99,7 @@ pub fn diagnose_together(
         parts.push((motion, Setting::between(nominal, model)?));
     }
     let motion = Motion::together(parts)?;
-    let mut out = of_motion(tests, options, motion, (findings, notes), QUIETER)?;
+    let mut out = of_motion((tests, nominal), options, motion, (findings, notes), QUIETER)?;
     out.wall_s = begun.elapsed().as_secs_f64();
     Ok(out)
 }
@@ -109,15 +109,12 @@ const QUIETER: usize = 2;
 
 /// Diagnoses the motion of the tests; once more with the noise that is left, where that is less than the record showed.
 fn of_motion(
-    tests: &[(&Record, &ModelSpec)],
+    (tests, nominal): (&[(&Record, &ModelSpec)], &ModelSpec),
     options: &Options,
     motion: Motion,
     (mut findings, notes): (Vec<(usize, Finding)>, Vec<String>),
     again: usize,
 ) -> Result<Diagnosis, DiagnoseError> {
-    let Some((_, nominal)) = tests.first() else {
-        return Err(MotionError::TooShort { samples: 0, needed: 1 }.into());
-    };
     let searcher = Searcher::new(&motion, nominal, options.effort).without(&options.without);
     let diverges = || DiagnoseError::Diverges { name: nominal.name.clone() };
     let search = searcher.search(nominal, options.thresholds).ok_or_else(diverges)?;
@@ -125,7 +122,7 @@ fn of_motion(
     if again > 0
         && let Some(quieter) = searcher.quieter(&decision.chosen)
     {
-        return of_motion(tests, options, quieter, (findings, notes), again - 1);
+        return of_motion((tests, nominal), options, quieter, (findings, notes), again - 1);
     }
     decision.chosen = searcher.bounded(decision.chosen);
     let gains = searcher.gains(&decision.chosen);

@@ -311,6 +311,8 @@ impl<'a> Searcher<'a> {
         });
         let mut finalists: Vec<Trial> = fitted.into_iter().flatten().collect();
         finalists.sort_by(|a, b| a.force.chi2.total_cmp(&b.force.chi2));
+        self.shape_by_force(&mut finalists, &candidates::scales(&from.refit.spec, self.motion));
+        finalists.sort_by(|a, b| a.force.chi2.total_cmp(&b.force.chi2));
         let close = finalists
             .iter()
             .take(SIMULATED)
@@ -376,8 +378,8 @@ impl<'a> Searcher<'a> {
             {
                 break;
             }
-            // What an applied force leaves to find there is fainter than what a solver makes of it.
-            if depth > 0 && verdict::is_all_of_a_force(self, &from, thresholds) {
+            // What such a record leaves to find there is fainter than what is made of it between its samples.
+            if depth > 0 && verdict::leaves_noise(self, &from, thresholds) {
                 break;
             }
             let mut stage = self.stage(&from);

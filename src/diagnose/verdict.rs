@@ -267,7 +267,7 @@ fn by_response(
             && !taken.names.is_empty()
             && taken.share_left(base).max(left(taken) / left(base).max(1e-3)) < thresholds.nearly
     };
-    let faint = || taken.names.is_empty() && is_all_of_a_force(searcher, taken, thresholds);
+    let faint = || taken.names.is_empty() && leaves_noise(searcher, taken, thresholds);
     if (told_by_structure || told_by_error() || told_by_shape()) && !nearly_all() && !faint() {
         Verdict::OutsideCatalogue
     } else if taken.names.is_empty() {
@@ -279,12 +279,15 @@ fn by_response(
     }
 }
 
-/// Whether what a trial leaves of a force record is noise but for what a solver makes of the force.
-pub fn is_all_of_a_force(searcher: &Searcher<'_>, trial: &Trial, thresholds: Thresholds) -> bool {
-    searcher.motion.kind == Kind::Force
-        && trial.response.is_some()
-        && trial.excess() < thresholds.faint[1]
-        && searcher.over_noise(trial).is_some_and(|times| times <= thresholds.over_noise)
+/// Whether what a trial leaves of a record of another rig is noise: of an applied force but for what a solver makes of it, of a component
+/// but for what its motion does between samples.
+pub fn leaves_noise(searcher: &Searcher<'_>, trial: &Trial, thresholds: Thresholds) -> bool {
+    let times = match searcher.motion.kind {
+        Kind::Base => None,
+        Kind::Force => searcher.over_noise(trial),
+        Kind::Component => Some(trial.force.mean().sqrt()),
+    };
+    trial.excess() < thresholds.faint[1] && times.is_some_and(|times| times <= thresholds.over_noise)
 }
 
 /// What brings so many times what is asked of all steps together need not bring its part on each of them.

@@ -7,8 +7,8 @@
 //! frequency where their noises are equal (a Wiener filter, zero phase).
 
 use super::fused::{differentiate, fuse, integrate};
-use super::kinematics::{self, Instruments, Tolerances};
-use super::spectral::{Spectrum, along_straight_lines, held_1_s2, stretches_noise_rms, white_noise_rms};
+use super::kinematics::{self, Accelerometer, Instruments, Tolerances};
+use super::spectral::{Spectrum, along_straight_lines, held_1_s2, stretches_noise_rms};
 use super::table::Table;
 use super::together::Source;
 use super::windows;
@@ -310,10 +310,9 @@ fn channel<'a>(record: &Record, values: &'a [f64], channel: &'static str) -> Res
 fn base(record: &Record, found: Option<Instruments>) -> Result<Motion, MotionError> {
     let rate = record.sample_rate_hz;
     let table = channel(record, &record.table_acceleration_m_s2, "table_acceleration_m_s2")?;
-    let first = channel(record, &record.mass_acceleration_1_m_s2, "mass_acceleration_1_m_s2")?;
-    let second =
-        channel(record, &record.mass_acceleration_2_m_s2, "mass_acceleration_2_m_s2").unwrap_or(first);
-    let laser = channel(record, &record.relative_displacement_m, "relative_displacement_m")?;
+    let laser = channel(record, &record.relative_displacement_m, "relative_displacement_m").ok();
+    let [first, second] = [&record.mass_acceleration_1_m_s2, &record.mass_acceleration_2_m_s2]
+        .map(|values| channel(record, values, "a mass acceleration").ok());
     let i = found.clone().unwrap_or_else(|| Instruments::assumed_sound(record));
     let shifted = |x: &[f64], delay_s: f64| {
         if delay_s.abs() < 1e-9 {
@@ -332,36 +331,70 @@ fn base(record: &Record, found: Option<Instruments>) -> Result<Motion, MotionErr
         0.5 * (a1.delay_s.value + a2.delay_s.value),
         0.5 * a1.delay_s.sigma.hypot(a2.delay_s.sigma),
     );
-    let (one, two) = (shifted(first, late), shifted(second, late));
-    let mass: Vec<f64> = (0..table.len())
-        .map(|n| {
-            let one = (one[n] - a1.leak.value * table[n]) / a1.gain.value;
-            let two = (two[n] - a2.leak.value * table[n]) / a2.gain.value;
-            0.5 * (one + two)
-        })
-        .collect();
-    let mut laser = shifted(laser, beyond_doubt(i.laser_delay_s.value, i.laser_delay_s.sigma));
-    for x in &mut laser {
-        *x /= i.laser_gain.value;
-    }
+    let of_mass = |channel: &[f64], a: Accelerometer| -> Vec<f64> {
+        let both = shifted(channel, late).into_iter().zip(table);
+        both.map(|(seen, table)| (seen - a.leak.value * table) / a.gain.value).collect()
+    };
     // A channel's noise is scaled along with it.
-    let noise_mass = 0.5 * (a1.noise_m_s2 / a1.gain.value).hypot(a2.noise_m_s2 / a2.gain.value);
+    let noise = |a: Accelerometer| (a.noise_m_s2 / a.gain.value).abs();
+    let mass = match (first, second) {
+        (Some(one), Some(two)) => {
+            let both = of_mass(one, a1).into_iter().zip(of_mass(two, a2));
+            Some((
+                both.map(|(one, two)| 0.5 * (one + two)).collect::<Vec<_>>(),
+                0.5 * noise(a1).hypot(noise(a2)),
+            ))
+        }
+        (Some(alone), None) => Some((of_mass(alone, a1), noise(a1))),
+        (None, Some(alone)) => Some((of_mass(alone, a2), noise(a2))),
+        (None, None) => None,
+    };
+    let laser: Option<Vec<f64>> = laser.map(|laser| {
+        let laser = shifted(laser, beyond_doubt(i.laser_delay_s.value, i.laser_delay_s.sigma));
+        laser.into_iter().map(|x| x / i.laser_gain.value).collect()
+    });
     let laser_noise_m = (i.laser_noise_m / i.laser_gain.value).abs();
     let both = Table::of(record, i.table_noise_m_s2);
-    let relative: Vec<f64> = mass.iter().zip(&both.acceleration_m_s2).map(|(a, t)| a - t).collect();
-    let fused = fuse(&laser, laser_noise_m, &relative, noise_mass.hypot(i.table_noise_m_s2), rate);
+    let relative =
+        |mass: &[f64]| -> Vec<f64> { mass.iter().zip(&both.acceleration_m_s2).map(|(a, t)| a - t).collect() };
+    let fused = match (&laser, &mass) {
+        (Some(laser), Some((mass, noise))) => {
+            fuse(laser, laser_noise_m, &relative(mass), noise.hypot(i.table_noise_m_s2), rate)
+        }
+        (Some(laser), None) => differentiate(laser, laser_noise_m, rate),
+        (None, Some((mass, noise))) => integrate(&relative(mass), noise.hypot(i.table_noise_m_s2), rate),
+        (None, None) => {
+            return Err(MotionError::MissingChannel {
+                kind: "base",
+                channel: "relative_displacement_m or mass_acceleration_1_m_s2",
+            });
+        }
+    };
+    let sees_acceleration = mass.is_some();
+    // Where no accelerometer is on the mass its acceleration is that of the displacement.
+    let (mass, restoring_noise_m_s2) = mass.unwrap_or_else(|| {
+        let over = fused.acceleration_m_s2.iter().zip(&both.acceleration_m_s2);
+        (over.map(|(a, t)| a + t).collect(), fused.acceleration_noise_m_s2.hypot(i.table_noise_m_s2))
+    });
     Ok(Motion {
         restoring_m_s2: mass.iter().map(|a| -a).collect(),
         drive_m_s2: both.acceleration_m_s2,
         table_crossover_rad_s: both.crossover_rad_s,
         table_gain_sigma: both.gain_sigma,
-        laser_m: laser,
+        laser_m: laser.unwrap_or_default(),
+        sees_acceleration,
         drive_noise_m_s2: i.table_noise_m_s2,
-        restoring_noise_m_s2: noise_mass,
+        restoring_noise_m_s2,
         laser_noise_m,
         instruments: found,
         ..fused.motion(record)
     })
+}
+
+/// Noise of a channel from stretches of it. A converter's steps are noise, too, of which a mass at rest shows nothing.
+fn noise_of_sensor(x: &[f64], rate: f64) -> f64 {
+    let (low, high) = x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
+    stretches_noise_rms(x, rate).max(FINEST * rms(x)).max(quantum(x, high - low) / 12f64.sqrt())
 }
 
 fn forced(record: &Record, mass_kg: f64) -> Result<Motion, MotionError> {
@@ -369,12 +402,7 @@ fn forced(record: &Record, mass_kg: f64) -> Result<Motion, MotionError> {
     let force = channel(record, &record.force_n, "force_n")?;
     let displacement = channel(record, &record.displacement_m, "displacement_m").ok();
     let acceleration = channel(record, &record.acceleration_m_s2, "acceleration_m_s2").ok();
-    // A converter's steps are noise, too, of which a mass at rest shows nothing.
-    let noise = |x: &[f64]| {
-        let (low, high) =
-            x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
-        stretches_noise_rms(x, rate).max(FINEST * rms(x)).max(quantum(x, high - low) / 12f64.sqrt())
-    };
+    let noise = |x: &[f64]| noise_of_sensor(x, rate);
     let fused = match (displacement, acceleration) {
         (Some(d), Some(a)) => fuse(d, noise(d), a, noise(a), rate),
         (Some(d), None) => differentiate(d, noise(d), rate),
@@ -414,7 +442,7 @@ fn component(record: &Record) -> Result<Motion, MotionError> {
     let rate = record.sample_rate_hz;
     let displacement = channel(record, &record.displacement_m, "displacement_m")?;
     let force = channel(record, &record.force_n, "force_n")?;
-    let noise = |x: &[f64]| white_noise_rms(&Spectrum::of(x, rate), 0.6, 0.95);
+    let noise = |x: &[f64]| noise_of_sensor(x, rate);
     let fused = differentiate(displacement, noise(displacement), rate);
     Ok(Motion {
         restoring_m_s2: force.to_vec(),

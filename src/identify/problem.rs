@@ -8,6 +8,7 @@
 use super::kinematics::Instruments;
 use super::motion::{Motion, Window};
 pub use super::output_error::OutputError;
+use super::response::beside_jumps_of_a_component;
 use crate::model::{self, ModelSpec, Specimen};
 use crate::record::Kind;
 
@@ -123,6 +124,7 @@ impl<'a> Problem<'a> {
         let centre = self.restoring(spec, zero_m, Part::All);
         let sides = [aside_m, -aside_m].map(|aside| self.restoring(spec, zero_m + aside, Part::All));
         let slow = 3.0 * motion.velocity_noise_m_s;
+        let counts = beside_jumps_of_a_component(motion);
         self.slopes.clear();
         self.weights.clear();
         for (k, window) in motion.windows.iter().enumerate() {
@@ -138,7 +140,7 @@ impl<'a> Problem<'a> {
                 _ => self.samples(window).map(|_| (0.0, 0.0)).collect(),
             };
             let weight = |(n, (slope, bend)): (usize, &(f64, f64))| {
-                if motion.velocity_m_s[n].abs() < slow {
+                if motion.velocity_m_s[n].abs() < slow || counts.get(n) == Some(&false) {
                     return 0.0;
                 }
                 let sigma = motion.restoring_noise_m_s2.hypot(slope * shift).hypot(0.5 * bend);

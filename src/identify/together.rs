@@ -114,7 +114,7 @@ impl Motion {
     /// The motion of all records, one after the other; each keeps its windows, its clock and its setting.
     ///
     /// # Errors
-    /// Records of different kinds or rates; none.
+    /// Records of different kinds, rates or channels; none.
     pub fn together(parts: Vec<(Motion, Setting)>) -> Result<Self, TogetherError> {
         let mut parts = parts.into_iter();
         let Some((mut all, setting)) = parts.next() else {
@@ -128,6 +128,10 @@ impl Motion {
             if (part.sample_rate_hz / all.sample_rate_hz - 1.0).abs() > 1e-6 {
                 return Err(TogetherError::Different { what: "sampling rates" });
             }
+            let sees = |motion: &Motion| (motion.sees_acceleration, motion.laser_m.is_empty());
+            if sees(&part) != sees(&all) {
+                return Err(TogetherError::Different { what: "channels" });
+            }
             all.append(part, setting);
         }
         Ok(all)
@@ -138,7 +142,6 @@ impl Motion {
         let (number, first_step) = (self.sources.len(), self.windows.iter().map(|w| w.step + 1).max());
         let share = there as f64 / (here + there).max(1) as f64;
         let mix = |a: f64, b: f64| ((1.0 - share) * a * a + share * b * b).sqrt();
-        self.sees_acceleration &= part.sees_acceleration;
         self.drive_noise_m_s2 = mix(self.drive_noise_m_s2, part.drive_noise_m_s2);
         self.restoring_noise_m_s2 = mix(self.restoring_noise_m_s2, part.restoring_noise_m_s2);
         self.laser_noise_m = mix(self.laser_noise_m, part.laser_noise_m);

@@ -24,10 +24,12 @@ pub use left::Left;
 pub use tangent::{Score, Tangent};
 
 use driven::{Innovations, zero_of_table_m_s2};
+pub(super) use jumps::beside_jumps_of_a_component;
 use jumps::{beside_jumps, beside_jumps_of_few_samples};
 use slow::Slow;
 use specimens::Specimens;
 
+use super::kinematics::Tolerances;
 use super::least_squares::{Fit, Free, dot};
 use super::motion::{Motion, Window};
 use super::numbers::Numbers;
@@ -155,15 +157,10 @@ struct Step<'b> {
 }
 
 impl<'a> Measured<'a> {
-    /// Prepares the steps of a motion; `None` where nothing drives a simulation (a component), or a base record lacks its displacement
-    /// sensor.
+    /// Prepares the steps of a motion; `None` where nothing drives a simulation (a component).
     pub fn new(motion: &'a Motion) -> Option<Self> {
         let sees_displacement = motion.laser_m.len() == motion.displacement_m.len();
-        let driven = match motion.kind {
-            Kind::Base => sees_displacement,
-            Kind::Force => sees_displacement || motion.sees_acceleration,
-            Kind::Component => false,
-        };
+        let driven = motion.kind != Kind::Component && (sees_displacement || motion.sees_acceleration);
         if !driven || motion.restoring_noise_m_s2 <= 0.0 || sees_displacement && motion.laser_noise_m <= 0.0 {
             return None;
         }
@@ -184,6 +181,14 @@ impl<'a> Measured<'a> {
             let [one, two] = &i.accelerometers;
             [i.laser_gain.sigma, 0.5 * (one.gain.sigma + two.gain.sigma)]
         });
+        // One sensor of the mass alone says nothing of its gain.
+        let untold = match motion.kind {
+            Kind::Base => {
+                let tolerances = Tolerances::default();
+                [tolerances.laser_gain, tolerances.accelerometer_gain]
+            }
+            Kind::Force | Kind::Component => [0.0; 2],
+        };
         let (training, held_out) = (of(false), of(true));
         let coarse = motion.is_coarse();
         (!training.is_empty() && !held_out.is_empty()).then(|| Self {
@@ -192,7 +197,7 @@ impl<'a> Measured<'a> {
             training,
             held_out,
             zero_sigma_m: zero_sigma_m(motion),
-            gain_sigmas: gains.unwrap_or([0.0; 2]).map(|sigma| sigma.max(1e-6)),
+            gain_sigmas: gains.unwrap_or(untold).map(|sigma| sigma.max(1e-6)),
             leak_sigma: leak.unwrap_or(0.0).max(1e-6),
             drift_m: DRIFT * motion.rms(&motion.displacement_m),
             slow_start: [&motion.displacement_m, &motion.velocity_m_s].map(|x| SLOW_START * motion.rms(x)),
