@@ -69,10 +69,7 @@ pub fn judge(found: &Instruments, record: &Record, tolerances: Tolerances) -> Ve
             "D'' comes late against A - a_table",
         ));
     }
-    let late = Estimate {
-        value: 0.5 * (one.delay_s.value + two.delay_s.value),
-        sigma: 0.5 * one.delay_s.sigma.hypot(two.delay_s.sigma),
-    };
+    let late = found.accelerometers_late_s();
     if beyond(late, 0.0, tolerances.delay_s) {
         out.push(finding("accelerometer-delay", "dt_s", "s", late, "A comes late against D'' and a_table"));
     }

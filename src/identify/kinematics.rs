@@ -11,6 +11,7 @@ use super::spectral::{Spectrum, white_noise_rms};
 use crate::model::elementary::sin_cos;
 use crate::parallel;
 use crate::record::Record;
+use nalgebra::{Matrix2, Matrix4, Vector4};
 use realfft::num_complex::Complex64;
 
 /// What an instrument may deviate before it is a finding (relative half-widths).
@@ -93,6 +94,12 @@ impl Instruments {
             ..Self::default()
         }
     }
+
+    /// Delay of both accelerometers against the table's, s. Its error is that of the laser and the table, the same in both.
+    pub fn accelerometers_late_s(&self) -> Estimate {
+        let [one, two] = self.accelerometers.map(|a| a.delay_s);
+        Estimate { value: 0.5 * (one.value + two.value), sigma: 0.5 * (one.sigma + two.sigma) }
+    }
 }
 
 /// Two accelerometers that differ by less, over what they show at high frequencies, are one.
@@ -142,7 +149,8 @@ pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
     for (accelerometer, noise) in found.accelerometers.iter_mut().zip(mass_noise_m_s2) {
         accelerometer.noise_m_s2 = noise;
     }
-    found.misfit = relations[0].rms.max(relations[1].rms) / band.expected_rms(&laser).max(1e-300);
+    let rms = relations.iter().map(Relation::rms).fold(0.0, f64::max);
+    found.misfit = rms / band.expected_rms(&laser).max(1e-300);
     Some(found)
 }
 
@@ -168,6 +176,8 @@ struct Band {
     high_rad_s: f64,
     interior: std::ops::Range<usize>,
     stride: usize,
+    /// How many thinned samples count as one independent one: noise has passed the band alone.
+    colour: f64,
     laser_noise_m: f64,
     acceleration_noise_m_s2: f64,
 }
@@ -200,9 +210,11 @@ impl Band {
             return None;
         }
         let stride = ((laser.sample_rate_hz() * std::f64::consts::PI / (2.0 * high_rad_s)) as usize).max(1);
+        let nyquist_rad_s = std::f64::consts::PI * laser.sample_rate_hz() / stride as f64;
         Some(Self {
             low_rad_s,
             high_rad_s,
+            colour: (nyquist_rad_s / (high_rad_s - low_rad_s)).max(1.0),
             interior: edge..samples - edge,
             stride,
             laser_noise_m,
@@ -240,14 +252,21 @@ impl Band {
 
 /// `D = alpha A(t - dtA) + beta a_table(t - dtT)`, integrated twice, for one accelerometer.
 struct Relation {
-    alpha: Estimate,
-    beta: Estimate,
-    accelerometer_shift_s: Estimate,
+    /// alpha and beta with their covariance.
+    gains: ([f64; 2], Matrix2<f64>),
     table_shift_s: Estimate,
-    rms: f64,
+    /// Delay of the accelerometer against the table's. Where A is nearly a_table only the sum of both shifts is known well.
+    delay_s: Estimate,
+    /// What is left of D, in units of its noise.
+    left: Vec<f64>,
 }
 
 impl Relation {
+    /// RMS of what is left.
+    fn rms(&self) -> f64 {
+        (dot(&self.left, &self.left) / (self.left.len() as f64 - 4.0).max(1.0)).sqrt()
+    }
+
     fn fit(laser: &Spectrum, table: &Spectrum, mass: &Spectrum, band: &Band) -> Option<Self> {
         let d = band.series(laser, |_| Complex64::ONE);
         let (mut shift_a, mut shift_t) = (0.0, 0.0);
@@ -271,42 +290,45 @@ impl Relation {
                 band.series(mass, rate(shift_a)),
                 band.series(table, rate(shift_t)),
             ];
-            let (x, covariance, rms) = regress(&columns, &d)?;
+            let (x, covariance, left) = regress(&columns, &d, band.colour)?;
             // A shift by dt is -dt times the derivative.
             let (da, dt) = (-x[2] / x[0], -x[3] / x[1]);
             shift_a += da;
             shift_t += dt;
-            let estimate =
-                |value: f64, j: usize, scale: f64| Estimate { value, sigma: covariance[j].sqrt() / scale };
+            let (a, t) = (1.0 / x[0], 1.0 / x[1]);
+            let (vary_a, vary_t) = (covariance[(2, 2)] * a * a, covariance[(3, 3)] * t * t);
+            let apart = vary_a + vary_t - 2.0 * covariance[(2, 3)] * a * t;
             last = Some(Self {
-                alpha: estimate(x[0], 0, 1.0),
-                beta: estimate(x[1], 1, 1.0),
-                accelerometer_shift_s: estimate(shift_a, 2, x[0].abs()),
-                table_shift_s: estimate(shift_t, 3, x[1].abs()),
-                rms,
+                gains: ([x[0], x[1]], covariance.fixed_view::<2, 2>(0, 0).into()),
+                table_shift_s: Estimate { value: shift_t, sigma: vary_t.sqrt() },
+                delay_s: Estimate { value: shift_t - shift_a, sigma: apart.max(0.0).sqrt() },
+                left,
             });
             if da.abs().max(dt.abs()) < 1e-7 {
                 break;
             }
         }
-        last.filter(|r| r.alpha.value.is_finite() && r.beta.value.is_finite())
+        last.filter(|r| r.gains.0.iter().all(|gain| gain.is_finite()))
     }
 }
 
-/// Least squares of four columns: coefficients, their variances, RMS of what is left.
-fn regress(columns: &[Vec<f64>; 4], target: &[f64]) -> Option<([f64; 4], [f64; 4], f64)> {
-    use nalgebra::{Matrix4, Vector4};
-    let scale: [f64; 4] = std::array::from_fn(|j| dot(&columns[j], &columns[j]).sqrt().max(1e-300));
+/// Least squares of four columns: coefficients, their covariance, what is left.
+fn regress(
+    columns: &[Vec<f64>; 4],
+    target: &[f64],
+    colour: f64,
+) -> Option<(Vector4<f64>, Matrix4<f64>, Vec<f64>)> {
+    let scale = Vector4::from_fn(|j, _| dot(&columns[j], &columns[j]).sqrt().max(1e-300));
     let normal = Matrix4::from_fn(|i, j| dot(&columns[i], &columns[j]) / (scale[i] * scale[j]));
     let right = Vector4::from_fn(|j, _| dot(&columns[j], target) / scale[j]);
     let inverse = normal.try_inverse()?;
-    let x = inverse * right;
-    let left = (dot(target, target) - x.dot(&right)).max(0.0) / (target.len() as f64 - 4.0).max(1.0);
-    Some((
-        std::array::from_fn(|j| x[j] / scale[j]),
-        std::array::from_fn(|j| inverse[(j, j)] * left / (scale[j] * scale[j])),
-        left.sqrt(),
-    ))
+    let x = (inverse * right).component_div(&scale);
+    let left: Vec<f64> = (0..target.len())
+        .map(|n| target[n] - columns.iter().zip(x.iter()).map(|(column, x)| x * column[n]).sum::<f64>())
+        .collect();
+    let variance = colour * dot(&left, &left) / (target.len() as f64 - 4.0).max(1.0);
+    let covariance = Matrix4::from_fn(|i, j| inverse[(i, j)] * variance / (scale[i] * scale[j]));
+    Some((x, covariance, left))
 }
 
 /// Lays each ratio at a door: `alpha = gL/g_i`, `-beta = gL (1 + leak_i/g_i)`, with the tolerances
@@ -326,13 +348,14 @@ fn share_gains(relations: &[Relation; 2], tolerances: Tolerances) -> Option<Inst
         number("leak 1", 0.0, 0.5 * tolerances.leak),
         number("leak 2", 0.0, 0.5 * tolerances.leak),
     ];
+    let white = whitening(relations)?;
     let fit = least_squares::fit(&free, Settings { iterations: 30, ..Settings::default() }, |x, r| {
+        let off = Vector4::from_fn(|row, _| {
+            let (of, gain, leak) = (&relations[row / 2].gains.0, x[1 + row / 2], x[3 + row / 2]);
+            if row % 2 == 0 { x[0] / gain - of[0] } else { -x[0] * (1.0 + leak / gain) - of[1] }
+        });
         r.clear();
-        for (i, relation) in relations.iter().enumerate() {
-            let (gain, leak) = (x[1 + i], x[3 + i]);
-            r.push((x[0] / gain - relation.alpha.value) / relation.alpha.sigma.max(1e-5));
-            r.push((x[0] * (1.0 + leak / gain) + relation.beta.value) / relation.beta.sigma.max(1e-5));
-        }
+        r.extend((white * off).iter());
         true
     })?;
     let covariance = fit.covariance(&free, 1.0);
@@ -341,10 +364,7 @@ fn share_gains(relations: &[Relation; 2], tolerances: Tolerances) -> Option<Inst
     let accelerometer = |i: usize, relation: &Relation| Accelerometer {
         gain: get(1 + i),
         leak: get(3 + i),
-        delay_s: Estimate {
-            value: relation.table_shift_s.value - relation.accelerometer_shift_s.value,
-            sigma: relation.table_shift_s.sigma.hypot(relation.accelerometer_shift_s.sigma),
-        },
+        delay_s: relation.delay_s,
         noise_m_s2: 0.0,
     };
     Some(Instruments {
@@ -356,6 +376,23 @@ fn share_gains(relations: &[Relation; 2], tolerances: Tolerances) -> Option<Inst
         },
         ..Instruments::default()
     })
+}
+
+/// How alike what both relations leave is: the laser's noise and the table's are in both.
+fn alike([one, two]: &[Relation; 2]) -> f64 {
+    dot(&one.left, &two.left) / (dot(&one.left, &one.left) * dot(&two.left, &two.left)).sqrt().max(1e-300)
+}
+
+/// What makes the errors of alpha and beta of both relations white; nobody knows a gain to better than 1e-5.
+fn whitening(relations: &[Relation; 2]) -> Option<Matrix4<f64>> {
+    let [one, two] = relations.each_ref().map(|relation| relation.gains.1);
+    let both = (one + two) * (0.5 * alike(relations).clamp(0.0, 0.999));
+    let mut covariance = Matrix4::from_diagonal_element(1e-10);
+    for (row, column, block) in [(0, 0, one), (2, 2, two), (0, 2, both), (2, 0, both)] {
+        let mut view = covariance.fixed_view_mut::<2, 2>(row, column);
+        view += block;
+    }
+    covariance.cholesky()?.l().try_inverse()
 }
 
 #[cfg(test)]
@@ -448,5 +485,34 @@ mod tests {
         // One sensor in both channels tells nothing of its noise.
         record.mass_acceleration_2_m_s2.clone_from(&record.mass_acceleration_1_m_s2);
         assert!(of(&record)[0] > 0.01);
+    }
+
+    #[test]
+    fn a_delay_is_known_no_better_than_it_says_where_the_mass_moves_with_the_table() {
+        let normal = rand_distr::Normal::new(0.0, 1.0).expect("valid");
+        let deviations = |seed: u64| {
+            let mut random = rand_pcg::Pcg64::seed_from_u64(seed);
+            let mut noise = |rms: f64| rms * normal.sample(&mut random);
+            let mut record = Record::empty("weak", Kind::Base, 512.0);
+            for i in 0..30 * 512 {
+                let t = f64::from(i) / 512.0;
+                // Above its resonance the mass stays where it is, nearly.
+                let wave = |hz: f64, phase: f64| (TAU * hz * t + phase).sin();
+                let table = 0.4 * wave(1.9, 0.0) + 0.4 * wave(2.7, 1.0);
+                let of = |hz: f64| -1.0 / (TAU * hz).powi(2);
+                let (slow, fast) = (-0.52 * wave(1.9, -0.1), -0.46 * wave(2.7, 0.95));
+                let mass = table + slow + fast;
+                record.time_s.push(t);
+                record.table_acceleration_m_s2.push(table + noise(0.003));
+                record.mass_acceleration_1_m_s2.push(mass + noise(0.01));
+                record.mass_acceleration_2_m_s2.push(mass + noise(0.01));
+                record.relative_displacement_m.push(of(1.9) * slow + of(2.7) * fast + noise(3e-5));
+            }
+            let late = examine(&record, Tolerances::default()).expect("long enough").accelerometers_late_s();
+            late.value / late.sigma
+        };
+        let squares: f64 = (0..24).map(deviations).map(|z| z * z).sum();
+        let rms = (squares / 24.0).sqrt();
+        assert!((0.6..1.4).contains(&rms), "{rms} deviations");
     }
 }

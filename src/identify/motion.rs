@@ -327,10 +327,8 @@ fn base(record: &Record, found: Option<Instruments>) -> Result<Motion, MotionErr
     let beyond_doubt = |delay_s: f64, sigma_s: f64| {
         if delay_s.abs() > (4.0 * sigma_s).max(0.1 / rate) { delay_s } else { 0.0 }
     };
-    let late = beyond_doubt(
-        0.5 * (a1.delay_s.value + a2.delay_s.value),
-        0.5 * a1.delay_s.sigma.hypot(a2.delay_s.sigma),
-    );
+    let late = i.accelerometers_late_s();
+    let late = beyond_doubt(late.value, late.sigma);
     let of_mass = |channel: &[f64], a: Accelerometer| -> Vec<f64> {
         let both = shifted(channel, late).into_iter().zip(table);
         both.map(|(seen, table)| (seen - a.leak.value * table) / a.gain.value).collect()

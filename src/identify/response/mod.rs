@@ -181,13 +181,11 @@ impl<'a> Measured<'a> {
             let [one, two] = &i.accelerometers;
             [i.laser_gain.sigma, 0.5 * (one.gain.sigma + two.gain.sigma)]
         });
-        // One sensor of the mass alone says nothing of its gain.
-        let untold = match motion.kind {
-            Kind::Base => {
-                let tolerances = Tolerances::default();
-                [tolerances.laser_gain, tolerances.accelerometer_gain]
-            }
-            Kind::Force | Kind::Component => [0.0; 2],
+        // One sensor of the mass alone says nothing of its gain, nor of the table's acceleration in it.
+        let tolerances = Tolerances::default();
+        let (untold, leaks) = match motion.kind {
+            Kind::Base => ([tolerances.laser_gain, tolerances.accelerometer_gain], 0.5 * tolerances.leak),
+            Kind::Force | Kind::Component => ([0.0; 2], 0.0),
         };
         let (training, held_out) = (of(false), of(true));
         let coarse = motion.is_coarse();
@@ -198,7 +196,7 @@ impl<'a> Measured<'a> {
             held_out,
             zero_sigma_m: zero_sigma_m(motion),
             gain_sigmas: gains.unwrap_or(untold).map(|sigma| sigma.max(1e-6)),
-            leak_sigma: leak.unwrap_or(0.0).max(1e-6),
+            leak_sigma: leak.unwrap_or(leaks).max(1e-6),
             drift_m: DRIFT * motion.rms(&motion.displacement_m),
             slow_start: [&motion.displacement_m, &motion.velocity_m_s].map(|x| SLOW_START * motion.rms(x)),
             table_noise_m_s2: motion.drive_noise_m_s2,
