@@ -82,7 +82,7 @@ impl Body {
 }
 
 /// Noise of a sensor.
-fn noise(random: &mut Pcg64, rms: f64) -> f64 {
+pub(crate) fn noise(random: &mut Pcg64, rms: f64) -> f64 {
     rms * random.sample::<f64, _>(StandardNormal)
 }
 

@@ -1,8 +1,8 @@
 //! Records of a component on its own, a displacement imposed and its force measured, from rigs that are not the product's. Integrated here,
 //! in fine steps, by nothing of the product.
 
+use crate::forced::noise;
 use rand::{Rng, SeedableRng};
-use rand_distr::StandardNormal;
 use rand_pcg::Pcg64;
 use shaketable::model::{IsolatorSpec, ModelSpec};
 use shaketable::record::{Kind, Record};
@@ -68,10 +68,9 @@ fn record(name: &str, seed: u64, mut component: impl FnMut([f64; 2], f64) -> f64
     let (mut x, mut force) = (place(0), 0.0);
     let mut out = Record::empty(name, Kind::Component, RATE_HZ);
     for i in 0..SAMPLES {
-        let mut noise = |rms: f64| rms * random.sample::<f64, _>(StandardNormal);
         out.time_s.push(i as f64 / RATE_HZ);
-        out.displacement_m.push(x + noise(5e-7));
-        out.force_n.push(force + noise(1.0));
+        out.displacement_m.push(x + noise(&mut random, 5e-7));
+        out.force_n.push(force + noise(&mut random, 1.0));
         for j in 1..=FINE {
             let next = place(i * FINE + j);
             force = component([x, next], h_s);

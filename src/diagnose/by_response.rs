@@ -8,7 +8,7 @@ use super::verdict;
 use crate::identify::least_squares::Settings;
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
-use crate::identify::refit::{Domain, Refit};
+use crate::identify::refit::Refit;
 use crate::identify::response::{Laid, Measured, Score, Tangent};
 use crate::model;
 use crate::model::effects::Effect;
@@ -216,10 +216,7 @@ impl Searcher<'_> {
 
     /// A pair without its first effect by the force along the measured motion, where that is no worse: play bends a line, too.
     fn second_by_force(&self, base: &Trial, pair: &Trial) -> Option<Trial> {
-        let alone = self.second_alone(base, pair);
-        let fine = Settings { iterations: 20, tolerance: 1e-6, ..Settings::default() };
-        let refit = trial::polish(self.problem(), &alone.refit, Domain::Force, fine)?;
-        let alone = trial::judge_by_force(self.problem(), &alone.names, refit)?;
+        let alone = self.fitted_by_force(&self.second_alone(base, pair))?;
         (verdict::apart(pair, &alone) < MERGED).then_some(alone)
     }
 

@@ -329,6 +329,13 @@ impl<'a> Searcher<'a> {
         finalists
     }
 
+    /// A trial fitted by the force along the measured motion, and judged by it.
+    pub(super) fn fitted_by_force(&self, trial: &Trial) -> Option<Trial> {
+        let fine = Settings { iterations: 20, tolerance: 1e-6, ..Settings::default() };
+        let refit = trial::polish(&self.fitting, &trial.refit, Domain::Force, fine)?;
+        trial::judge_by_force(&self.fitting, &trial.names, refit)
+    }
+
     /// The model that a candidate was added to, with the candidate all but absent and shaped as it was fitted.
     fn beside(&self, from: &Trial, fitted: &Refit) -> Refit {
         let base = self.fitted.as_ref().filter(|_| from.names.is_empty()).unwrap_or(&from.refit);

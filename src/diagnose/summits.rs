@@ -6,7 +6,7 @@ use super::search::Searcher;
 use super::trial::{self, Trial};
 use super::{candidates, verdict};
 use crate::identify::least_squares::Settings;
-use crate::identify::refit::{Domain, Refit};
+use crate::identify::refit::Refit;
 use crate::identify::response::Measured;
 use crate::model::effects::coulomb_friction::TURNING;
 use crate::model::{ModelSpec, Scales, effects};
@@ -14,7 +14,6 @@ use crate::parallel;
 
 /// How the shape of an effect is fitted.
 const OF_SHAPE: Settings = Settings { iterations: 12, ..FURTHER_ON };
-const BY_FORCE: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
 /// How many times as fast a stand rings that is tried beside one that was found, and how often at most.
 const BESIDE: [f64; 6] = [0.7, 0.84, 0.92, 1.09, 1.19, 1.4];
 const SUMMITS: usize = 3;
@@ -39,28 +38,17 @@ impl Searcher<'_> {
             let shaped = trial::respond(measured, &with_shape(trial, scales)?, None, OF_SHAPE)?;
             (verdict::apart(&shaped, trial) > WORTH).then_some(shaped)
         };
-        let shaped = parallel::map(finalists, parallel::cores(), reshaped);
-        finalists.iter_mut().zip(shaped).for_each(|(of, shaped)| {
-            if let Some(shaped) = shaped {
-                *of = shaped;
-            }
-        });
+        replace_where_told(finalists, reshaped);
     }
 
     /// The same by the force along the measured motion, where there is no response.
     pub(super) fn shape_by_force(&self, finalists: &mut [Trial], scales: &Scales) {
         let reshaped = |trial: &Trial| -> Option<Trial> {
             let shaped = with_shape(trial, scales)?;
-            let refit = trial::polish(self.problem(), &shaped.refit, Domain::Force, BY_FORCE)?;
-            let shaped = trial::judge_by_force(self.problem(), &trial.names, refit)?;
+            let shaped = self.fitted_by_force(&shaped)?;
             (verdict::apart(&shaped, trial) > WORTH).then_some(shaped)
         };
-        let shaped = parallel::map(finalists, parallel::cores(), reshaped);
-        finalists.iter_mut().zip(shaped).for_each(|(of, shaped)| {
-            if let Some(shaped) = shaped {
-                *of = shaped;
-            }
-        });
+        replace_where_told(finalists, reshaped);
     }
 
     /// Limits of the numbers of an explanation that hold although the shape of its last effect was left out: it was since it did not pay,
@@ -179,6 +167,16 @@ impl Searcher<'_> {
         }
         let refit = with_last(&sticking.refit, spec, scales);
         trial::respond(measured, &Trial { refit, ..sticking.clone() }, None, FURTHER_ON)
+    }
+}
+
+/// Puts what is made of each trial in its place, where anything is.
+fn replace_where_told(trials: &mut [Trial], made: impl Fn(&Trial) -> Option<Trial> + Sync) {
+    let made = parallel::map(trials, parallel::cores(), made);
+    for (of, made) in trials.iter_mut().zip(made) {
+        if let Some(made) = made {
+            *of = made;
+        }
     }
 }
 

@@ -56,8 +56,8 @@ pub struct Thresholds {
     /// Share of the base model's misfit of a force record, in structure and in power of the error, below which what explains the rest
     /// stands although something is left.
     pub nearly: f64,
-    /// Share of the error that an effect must take away from the response to a sampled force, and structure that does not count there beside
-    /// an error that is that of the noise: what a solver makes of a force between samples is known no better.
+    /// Share of the error that an effect must take away from the response to a sampled force, and structure that does not count there, nor
+    /// in a component's force, beside an error that is that of the noise: what goes on between samples is known no better.
     pub faint: [f64; 2],
     /// Error of the simulated response of held-out steps over the noise's that a complete explanation does not have, steps beside
     /// which a stiff contact leads elsewhere included.

@@ -440,12 +440,12 @@ fn component(record: &Record) -> Result<Motion, MotionError> {
     let rate = record.sample_rate_hz;
     let displacement = channel(record, &record.displacement_m, "displacement_m")?;
     let force = channel(record, &record.force_n, "force_n")?;
-    let noise = |x: &[f64]| noise_of_sensor(x, rate);
-    let fused = differentiate(displacement, noise(displacement), rate);
+    let laser_noise_m = noise_of_sensor(displacement, rate);
+    let fused = differentiate(displacement, laser_noise_m, rate);
     Ok(Motion {
         restoring_m_s2: force.to_vec(),
-        restoring_noise_m_s2: noise(force),
-        laser_noise_m: noise(displacement),
+        restoring_noise_m_s2: noise_of_sensor(force, rate),
+        laser_noise_m,
         ..fused.motion(record)
     })
 }

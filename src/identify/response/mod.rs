@@ -29,7 +29,7 @@ use jumps::{beside_jumps, beside_jumps_of_few_samples};
 use slow::Slow;
 use specimens::Specimens;
 
-use super::kinematics::Tolerances;
+use super::kinematics::{Estimate, Tolerances};
 use super::least_squares::{Fit, Free, dot};
 use super::motion::{Motion, Window};
 use super::numbers::Numbers;
@@ -173,20 +173,7 @@ impl<'a> Measured<'a> {
             let kept = |(i, k): (usize, usize)| (i % every == 0 || motion.windows[k].settling).then_some(k);
             all.into_iter().enumerate().filter_map(kept).collect()
         };
-        let leak = motion.instruments.as_ref().map(|i| {
-            let [one, two] = &i.accelerometers;
-            0.5 * (one.leak.sigma + two.leak.sigma)
-        });
-        let gains = motion.instruments.as_ref().map(|i| {
-            let [one, two] = &i.accelerometers;
-            [i.laser_gain.sigma, 0.5 * (one.gain.sigma + two.gain.sigma)]
-        });
-        // One sensor of the mass alone says nothing of its gain, nor of the table's acceleration in it.
-        let tolerances = Tolerances::default();
-        let (untold, leaks) = match motion.kind {
-            Kind::Base => ([tolerances.laser_gain, tolerances.accelerometer_gain], 0.5 * tolerances.leak),
-            Kind::Force | Kind::Component => ([0.0; 2], 0.0),
-        };
+        let [of_laser, of_accelerometers, leak_sigma] = gains_and_leak(motion).map(|sigma| sigma.max(1e-6));
         let (training, held_out) = (of(false), of(true));
         let coarse = motion.is_coarse();
         (!training.is_empty() && !held_out.is_empty()).then(|| Self {
@@ -195,8 +182,8 @@ impl<'a> Measured<'a> {
             training,
             held_out,
             zero_sigma_m: zero_sigma_m(motion),
-            gain_sigmas: gains.unwrap_or(untold).map(|sigma| sigma.max(1e-6)),
-            leak_sigma: leak.unwrap_or(leaks).max(1e-6),
+            gain_sigmas: [of_laser, of_accelerometers],
+            leak_sigma,
             drift_m: DRIFT * motion.rms(&motion.displacement_m),
             slow_start: [&motion.displacement_m, &motion.velocity_m_s].map(|x| SLOW_START * motion.rms(x)),
             table_noise_m_s2: motion.drive_noise_m_s2,
@@ -433,6 +420,23 @@ impl<'a> Measured<'a> {
         let prior = (&own.transpose() * self.precision(window) * &own)[(0, 0)];
         let cost = robust(chi2 + prior, self.count(window)).0;
         chi2.is_finite().then_some((cost, Step { window, residuals, simulated }))
+    }
+}
+
+/// What is open of the gains of laser and accelerometers, and of the leak of the table's acceleration into those: what the kinematics leave.
+/// One sensor of the mass alone says nothing of either, nor does an applied force need them.
+fn gains_and_leak(motion: &Motion) -> [f64; 3] {
+    match (&motion.instruments, motion.kind) {
+        (Some(i), _) => {
+            let [one, two] = &i.accelerometers;
+            let mean = |one: Estimate, two: Estimate| 0.5 * (one.sigma + two.sigma);
+            [i.laser_gain.sigma, mean(one.gain, two.gain), mean(one.leak, two.leak)]
+        }
+        (None, Kind::Base) => {
+            let tolerances = Tolerances::default();
+            [tolerances.laser_gain, tolerances.accelerometer_gain, 0.5 * tolerances.leak]
+        }
+        (None, Kind::Force | Kind::Component) => [0.0; 3],
     }
 }
 
