@@ -7,6 +7,7 @@
 
 use crate::parallel;
 use nalgebra::{DMatrix, DVector};
+use std::ops::Range;
 
 /// One free number of a fit.
 #[derive(Clone, Debug, PartialEq)]
@@ -241,17 +242,60 @@ pub fn sum_of_squares(r: &[f64]) -> f64 {
     dot(r, r)
 }
 
-/// Scalar product, in four partial sums so that the compiler may use vector registers.
+/// Partial sums of a scalar product, so that the compiler may use vector registers and need not wait for the last sum.
+const PARTIAL: usize = 8;
+
+/// Scalar product.
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut sums = [0.0; 4];
-    let (chunks_a, chunks_b) = (a.chunks_exact(4), b.chunks_exact(4));
+    let mut sums = [0.0; PARTIAL];
+    let (chunks_a, chunks_b) = (a.chunks_exact(PARTIAL), b.chunks_exact(PARTIAL));
     let rest: f64 = chunks_a.remainder().iter().zip(chunks_b.remainder()).map(|(x, y)| x * y).sum();
     for (x, y) in chunks_a.zip(chunks_b) {
-        for k in 0..4 {
+        for k in 0..PARTIAL {
             sums[k] += x[k] * y[k];
         }
     }
     sums.iter().sum::<f64>() + rest
+}
+
+/// Samples of all columns that [`gram`] and [`mixed_gram`] take at a time, so that they stay in the cache.
+const BLOCK: usize = 512;
+
+/// Scalar products of every column with every other: columns x columns.
+pub fn gram(columns: &[Vec<f64>]) -> DMatrix<f64> {
+    let mut sums = DMatrix::zeros(columns.len(), columns.len());
+    each_block(columns, |block| {
+        for i in 0..columns.len() {
+            for j in 0..=i {
+                sums[(i, j)] += dot(within(&columns[i], &block), within(&columns[j], &block));
+            }
+        }
+    });
+    sums.fill_upper_triangle_with_lower_triangle();
+    sums
+}
+
+/// Scalar products of every column of one set with every one of another: columns of the first x of the second.
+pub fn mixed_gram(first: &[Vec<f64>], second: &[Vec<f64>]) -> DMatrix<f64> {
+    let mut sums = DMatrix::zeros(first.len(), second.len());
+    each_block(first, |block| {
+        for (i, a) in first.iter().enumerate() {
+            for (j, b) in second.iter().enumerate() {
+                sums[(i, j)] += dot(within(a, &block), within(b, &block));
+            }
+        }
+    });
+    sums
+}
+
+fn each_block(columns: &[Vec<f64>], mut of: impl FnMut(Range<usize>)) {
+    let samples = columns.iter().map(Vec::len).max().unwrap_or(0);
+    (0..samples).step_by(BLOCK).for_each(|start| of(start..start + BLOCK));
+}
+
+/// What a column has of a block.
+fn within<'a>(column: &'a [f64], block: &Range<usize>) -> &'a [f64] {
+    &column[block.start.min(column.len())..block.end.min(column.len())]
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use super::columns::Job;
 use super::tangent::is_piecewise_linear;
 use super::{COMMON, Laid, Measured, Nuisances, Step, TOGETHER, robust};
 use crate::identify::kinematics::Estimate;
-use crate::identify::least_squares::{self, Free, Settings, dot};
+use crate::identify::least_squares::{self, Free, Settings, dot, gram, mixed_gram};
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
 use crate::identify::refit::Refit;
@@ -264,13 +264,10 @@ impl<'a> Measured<'a> {
         let (along, beside) = self.columns(job, step, own, known);
         let precision = self.precision(step.window);
         let weight = self.weight(step, own, &precision);
-        let gram = |a: &[Vec<f64>], b: &[Vec<f64>]| {
-            DMatrix::from_fn(a.len(), b.len(), |i, j| weight * dot(&a[i], &b[j]))
-        };
-        let inner = gram(&beside, &beside) + weight * &precision;
+        let inner = weight * (gram(&beside) + &precision);
         let inverse = inner.cholesky()?.inverse();
-        let mixed = gram(&along, &beside);
-        let information = gram(&along, &along) - &mixed * &inverse * mixed.transpose();
+        let mixed = weight * mixed_gram(&along, &beside);
+        let information = weight * gram(&along) - &mixed * &inverse * mixed.transpose();
         let pull = DVector::zeros(own.len());
         Some((information, Eliminated { along, beside, weight, precision, mixed, inverse, pull }))
     }

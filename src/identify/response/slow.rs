@@ -5,12 +5,12 @@
 use super::columns::Job;
 use super::descent::Fitted;
 use super::{Laid, Measured, ROBUST, Step};
-use crate::identify::least_squares::dot;
+use crate::identify::least_squares::{dot, gram};
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
 use crate::model::ModelSpec;
 use crate::parallel;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
@@ -213,9 +213,8 @@ impl Measured<'_> {
                 channel
             };
             let (of, along) = (white(&residual), columns.iter().map(white).collect::<Vec<_>>());
-            let gram = DMatrix::from_fn(along.len(), along.len(), |i, j| {
-                dot(&along[i], &along[j]) * if i == j { 1.0 + ALIKE } else { 1.0 }
-            });
+            let mut gram = gram(&along);
+            (0..along.len()).for_each(|i| gram[(i, i)] *= 1.0 + ALIKE);
             let slope = DVector::from_fn(along.len(), |i, _| dot(&along[i], &of));
             let root = gram.cholesky()?;
             let square = dot(&of, &of) - slope.dot(&root.solve(&slope));
@@ -250,6 +249,7 @@ fn agreed(profiles: &[Vec<f64>]) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::DMatrix;
     use rand::{SeedableRng, prelude::Distribution};
 
     fn walk(growth: f64, samples: usize, seed: u64) -> Vec<f64> {
