@@ -2,6 +2,7 @@
 //! diagnosis, campaigns and questions to a tree of runs; never by anything beside a moving table. Results do not depend
 //! on how many threads there were.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Cores that this process may use, at least one.
@@ -30,19 +31,48 @@ pub fn map<T: Sync, R: Send>(items: &[T], threads: usize, work: impl Fn(&T) -> R
     done.into_iter().map(|(_, result)| result).collect()
 }
 
-/// The same where a state is costly to make: so many items in turn share one. `None` when a state or a result is.
+/// The same where a state is costly to make: items in turn share one until they weigh enough together, and what weighs
+/// most begins first. `None` when a state or a result is.
 pub fn map_with<T: Sync, S, R: Send>(
     items: &[T],
-    together: usize,
+    weight: impl Fn(&T) -> usize,
     state: impl Fn() -> Option<S> + Sync,
     work: impl Fn(&mut S, &T) -> Option<R> + Sync,
 ) -> Option<Vec<R>> {
-    let chunks: Vec<&[T]> = items.chunks(together.max(1)).collect();
+    let weights: Vec<usize> = items.iter().map(weight).collect();
+    let mut chunks = shared(&weights);
+    chunks.sort_by_key(|chunk| std::cmp::Reverse(weights[chunk.clone()].iter().sum::<usize>()));
     let done = map(&chunks, cores(), |chunk| {
         let mut state = state()?;
-        chunk.iter().map(|item| work(&mut state, item)).collect::<Option<Vec<R>>>()
+        let results = items[chunk.clone()].iter().map(|item| work(&mut state, item));
+        Some((chunk.start, results.collect::<Option<Vec<R>>>()?))
     });
-    Some(done.into_iter().collect::<Option<Vec<_>>>()?.into_iter().flatten().collect())
+    let mut done = done.into_iter().collect::<Option<Vec<_>>>()?;
+    done.sort_by_key(|(start, _)| *start);
+    Some(done.into_iter().flat_map(|(_, results)| results).collect())
+}
+
+/// Items in a row that share a state: at most so many, and not more than such a part of the whole weight.
+const TOGETHER: usize = 4;
+const PART: usize = 16;
+
+fn shared(weights: &[usize]) -> Vec<Range<usize>> {
+    let most = weights.iter().sum::<usize>() / PART;
+    let mut chunks: Vec<Range<usize>> = Vec::new();
+    let mut together = 0;
+    for (i, weight) in weights.iter().enumerate() {
+        match chunks.last_mut() {
+            Some(last) if last.len() < TOGETHER && together + weight <= most => {
+                last.end = i + 1;
+                together += weight;
+            }
+            _ => {
+                chunks.push(i..i + 1);
+                together = *weight;
+            }
+        }
+    }
+    chunks
 }
 
 #[cfg(test)]
@@ -66,9 +96,21 @@ mod tests {
             *seen += 1;
             Some((*n, *seen))
         };
-        let expected: Vec<_> = items.iter().map(|n| (*n, n % 4 + 1)).collect();
-        assert_eq!(map_with(&items, 4, || Some(0), count), Some(expected));
-        assert_eq!(map_with(&items, 4, || Some(()), |(), n| (*n != 30).then_some(*n)), None);
-        assert_eq!(map_with(&items, 4, || None::<()>, |(), n| Some(*n)), None);
+        let alike = |_: &u64| 1;
+        let expected: Vec<_> = items.iter().map(|n| (*n, n % 3 + 1)).collect();
+        assert_eq!(map_with(&items, alike, || Some(0), count), Some(expected));
+        assert_eq!(map_with(&items, alike, || Some(()), |(), n| (*n != 30).then_some(*n)), None);
+        assert_eq!(map_with(&items, alike, || None::<()>, |(), n| Some(*n)), None);
+    }
+
+    #[test]
+    fn what_weighs_much_has_a_state_of_its_own() {
+        let mut weights = vec![1; 64];
+        weights[1] = 40;
+        let chunks = shared(&weights);
+        assert_eq!(chunks[..3], [0..1, 1..2, 2..6]);
+        assert!(chunks.windows(2).all(|pair| pair[0].end == pair[1].start));
+        assert_eq!(chunks.last().map(|last| last.end), Some(64));
+        assert!(shared(&[]).is_empty());
     }
 }

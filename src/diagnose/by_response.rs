@@ -22,6 +22,8 @@ const SCORED: usize = 4;
 const FEW_STARTS: usize = 2;
 const STARTS: usize = 3;
 const OF_RINGING: usize = 5;
+/// Times as many starts of an effect as are fitted are looked at again to first order.
+const AGAIN: usize = 2;
 /// Nats behind the best within which another start of an effect is worth a fit.
 const NEARBY: f64 = 30.0;
 /// So many of those are refined, and whatever is that near after a short fit; so many at least, to be refused by name.
@@ -248,10 +250,18 @@ impl Searcher<'_> {
         if let Some(tangent) = measured.tangent(spec, &from.refit.numbers, laid) {
             let starts: Vec<EffectSpec> =
                 effects.iter().flat_map(|e| candidates::starts(e, scales)).collect();
-            let scored = parallel::map(&starts, parallel::cores(), |start| {
-                let fainter = |start: &EffectSpec, factor: f64| candidates::fainter(start, factor, scales);
-                let (start, score) = to_first_order(&tangent, start.clone(), with, fainter)?;
-                let (scaled, scale) = candidates::scaled(&start, score.scale, scales)?;
+            let fainter = |start: &EffectSpec, factor: f64| candidates::fainter(start, factor, scales);
+            let mut told: Vec<(EffectSpec, Score)> = parallel::map(&starts, parallel::cores(), |start| {
+                to_first_order(&tangent, start.clone(), with, fainter)
+            })
+            .into_iter()
+            .flatten()
+            .collect();
+            told.sort_by(|a, b| b.1.nats.total_cmp(&a.1.nats));
+            first_of_each(&mut told, |effect| AGAIN * fitted_starts(effect), |(start, _)| Some(start));
+            let scored = parallel::map(&told, parallel::cores(), |(start, score)| {
+                let score = looked_at_again(&tangent, &with(start), score.clone());
+                let (scaled, scale) = candidates::scaled(start, score.scale, scales)?;
                 // The model's own numbers follow, where that leaves a model that there can be.
                 let moved = from.refit.numbers.moved(with(&scaled), &score.followed, scale)?;
                 let can_be = model::build(&moved, self.motion.dt_s()).is_ok();
@@ -259,7 +269,7 @@ impl Searcher<'_> {
             });
             first = scored.into_iter().flatten().collect();
             first.sort_by(|a, b| b.0.total_cmp(&a.0));
-            first_of_each(&mut first, fitted_starts, |(_, spec)| spec);
+            first_of_each(&mut first, fitted_starts, |(_, spec)| spec.effects.last());
         }
         // To first order is near enough where little is left; otherwise the force has a say.
         let best = first.first().map_or(0.0, |(nats, _)| *nats);
@@ -308,7 +318,7 @@ impl Searcher<'_> {
                 .collect();
         let cost = Laid::total;
         tried.sort_by(|a, b| cost(&a.2).total_cmp(&cost(&b.2)));
-        let mut others = first_of_each(&mut tried, |_| 1, |(spec, _, _)| spec);
+        let mut others = first_of_each(&mut tried, |_| 1, |(spec, _, _)| spec.effects.last());
         let least = tried.first().map_or(0.0, |(_, _, laid)| cost(laid));
         let behind = |short: &Laid| 0.5 * HALF as f64 * (cost(short) - least) / response.colour().max(1.0);
         let within = |nats: f64| tried.iter().take_while(|(_, _, short)| behind(short) < nats).count();
@@ -429,9 +439,12 @@ pub(super) fn to_first_order(
         }
     }
     let score = tangent.score(&with(&start))?;
-    let again = tangent.score_again(&with(&start), &score);
-    let score = again.filter(|of| of.change < score.change).unwrap_or(score);
     Some((start, score))
+}
+
+/// What a start brings with everything else moved as a first look has it follow, where that leaves less of a change.
+pub(super) fn looked_at_again(tangent: &Tangent<'_, '_>, with: &ModelSpec, score: Score) -> Score {
+    tangent.score_again(with, &score).filter(|again| again.change < score.change).unwrap_or(score)
 }
 
 /// Starts of an effect that are fitted: where there are several numbers, or the frequency of a ringing, the likelihood has several
@@ -445,15 +458,15 @@ fn fitted_starts(effect: &EffectSpec) -> usize {
     }
 }
 
-/// Keeps the first so many of each effect that was added last; what is left over.
+/// Keeps the first so many of each effect; what is left over.
 pub(super) fn first_of_each<T>(
     sorted: &mut Vec<T>,
     most: impl Fn(&EffectSpec) -> usize,
-    spec: impl Fn(&T) -> &ModelSpec,
+    effect: impl Fn(&T) -> Option<&EffectSpec>,
 ) -> Vec<T> {
     let mut seen: Vec<String> = Vec::new();
     let (kept, left) = std::mem::take(sorted).into_iter().partition(|item| {
-        let Some(last) = spec(item).effects.last() else { return false };
+        let Some(last) = effect(item) else { return false };
         let before = seen.iter().filter(|name| **name == last.name).count();
         seen.push(last.name.clone());
         before < most(last)

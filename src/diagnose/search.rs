@@ -275,7 +275,7 @@ impl<'a> Searcher<'a> {
         let mut tried: Vec<(&'static str, Refit)> = tried.into_iter().flatten().collect();
         tried.sort_by(|a, b| trial::objective(&a.1).total_cmp(&trial::objective(&b.1)));
         let most = if self.measured.is_some() { 1 } else { 2 };
-        first_of_each(&mut tried, |_| most, |(_, refit)| &refit.spec);
+        first_of_each(&mut tried, |_| most, |(_, refit)| refit.spec.effects.last());
         if self.measured.is_some() {
             tried.truncate(GOING_ON);
         }

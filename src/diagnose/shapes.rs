@@ -3,12 +3,13 @@
 //! more than chance; a force that is really there brings one that is like it. The verdict "outside the catalogue" stands on it
 //! wherever a base record drives a simulation.
 
-use super::by_response::to_first_order;
+use super::by_response::{looked_at_again, to_first_order};
 use super::search::Searcher;
 use super::trial::{self, Trial};
 use super::verdict::Thresholds;
 use super::{candidates, verdict};
 use crate::identify::least_squares::Settings;
+use crate::identify::response::Laid;
 use crate::model::{EffectSpec, ModelSpec, Scales};
 use crate::parallel;
 
@@ -38,8 +39,11 @@ pub struct Shaped {
 /// Share of what an explanation brings to first order below which a shape is not fitted in its place.
 const WORTH: f64 = 0.3;
 
-/// Nats that one may be behind after a short fit for a longer one: its amplitude was known to first order.
-const BEHIND: f64 = 60.0;
+/// Times what a short fit promises still that one may come to with a longer one.
+const PROMISED: f64 = 5.0;
+
+/// So many of the first are looked at again.
+const AGAIN: usize = 8;
 
 /// How a shape is fitted, in short and for longer.
 const SHORT: Settings = Settings { iterations: 3, tolerance: 1e-6, difference: 1e-3 };
@@ -106,9 +110,18 @@ impl Searcher<'_> {
         let of_bumper = |expression: &str| expression.contains("pm");
         let shapes: Vec<&'static str> =
             SHAPES.into_iter().filter(|s| !of_bumper(s) || scales.penetration_m.is_some()).collect();
-        let scored = parallel::map(&shapes, parallel::cores(), |expression| {
-            let (spec, score) = to_first_order(&tangent, faint(expression, &scales), with, grown)?;
-            let grown = with(&grown(&spec, score.scale)?);
+        let mut told: Vec<_> = parallel::map(&shapes, parallel::cores(), |expression| {
+            let (start, score) = to_first_order(&tangent, faint(expression, &scales), with, grown)?;
+            Some((*expression, start, score))
+        })
+        .into_iter()
+        .flatten()
+        .collect();
+        told.sort_by(|a, b| b.2.nats.total_cmp(&a.2.nats));
+        told.truncate(AGAIN);
+        let scored = parallel::map(&told, parallel::cores(), |(expression, spec, score)| {
+            let score = looked_at_again(&tangent, &with(spec), score.clone());
+            let grown = with(&grown(spec, score.scale)?);
             let with = trial.refit.numbers.moved(grown, &score.followed, score.scale)?;
             let doubt = if of_bumper(expression) { thresholds.doubt(response) } else { 0.0 };
             Some(Shape { expression, nats: score.nats - doubt, doubt, with })
@@ -125,10 +138,11 @@ impl Searcher<'_> {
         }
         let fitted = trial::respond(measured, &self.with_shape(base, shape.with), None, SHORT)?;
         let ahead = verdict::apart(&fitted, taken) - doubt;
-        if ahead < -BEHIND {
+        let laid = fitted.response.as_ref().map(|response| &response.training);
+        let promised = 0.5 * laid.map_or(0.0, Laid::promised);
+        if ahead + PROMISED * promised < 0.0 {
             return Some(ahead);
         }
-        let laid = fitted.response.as_ref().map(|response| &response.training);
         Some(verdict::apart(&trial::respond(measured, &fitted, laid, LONG)?, taken) - doubt)
     }
 

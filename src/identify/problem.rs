@@ -10,6 +10,7 @@ use super::motion::{Motion, Window};
 pub use super::output_error::OutputError;
 use super::response::beside_jumps_of_a_component;
 use crate::model::{self, ModelSpec, Specimen};
+use crate::parallel;
 use crate::record::Kind;
 
 /// Which windows a residual is formed over.
@@ -461,9 +462,8 @@ impl<'a> Problem<'a> {
             };
             return Some(windows.map(force).collect());
         }
-        let mut specimens = self.specimens(spec, motion.dt_s())?;
         let share = motion.driven_by(spec);
-        let response = |(k, window): (usize, &Window)| {
+        let response = |specimens: &mut Vec<Box<dyn Specimen>>, (k, window): &(usize, &Window)| {
             let mut error = OutputError::default();
             let laser = motion.laser_m.get(window.range.clone()).unwrap_or(&[]);
             let mean = laser.iter().sum::<f64>() / laser.len().max(1) as f64;
@@ -478,9 +478,11 @@ impl<'a> Problem<'a> {
                 }
                 error.count += 1;
             });
-            (k, error)
+            Some((*k, error))
         };
-        Some(windows.map(response).collect())
+        let length = |(_, window): &(usize, &Window)| window.range.len();
+        let windows: Vec<_> = windows.collect();
+        parallel::map_with(&windows, length, || self.specimens(spec, motion.dt_s()), response)
     }
 }
 

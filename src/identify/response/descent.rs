@@ -3,7 +3,7 @@
 
 use super::columns::Job;
 use super::tangent::is_piecewise_linear;
-use super::{COMMON, Laid, Measured, Nuisances, Step, TOGETHER, robust};
+use super::{COMMON, Laid, Measured, Nuisances, Step, robust};
 use crate::identify::kinematics::Estimate;
 use crate::identify::least_squares::{self, Free, Settings, dot, gram, mixed_gram};
 use crate::identify::numbers::Numbers;
@@ -156,8 +156,10 @@ impl<'a> Measured<'a> {
         }
         let count = at.steps.iter().map(|s| self.count(s.window)).sum();
         let prior = if fitted.moving { at.total - at.cost } else { 0.0 };
+        let on = system.step(free, &at.values, &at.nuisances, UNDAMPED);
+        let promised = on.map_or(0.0, |(moved, _)| system.promises(free, &at.values, &moved));
         let At { values, nuisances, cost, .. } = at;
-        Some(Laid { prior, values, nuisances, cost, count, information: system.normal })
+        Some(Laid { prior, values, nuisances, cost, promised, count, information: system.normal })
     }
 
     /// Lays a model with such values against the steps of a part.
@@ -235,7 +237,7 @@ impl<'a> Measured<'a> {
         let known = known.map(|system| system.own);
         let eliminated = parallel::map_with(
             &each,
-            TOGETHER,
+            |k| steps[*k].simulated.len(),
             || self.job(fitted, values),
             |job, &k| {
                 let known = known.as_ref().map(|own| own[k].beside.clone());

@@ -72,8 +72,6 @@ const HUBER: f64 = 6.0;
 /// A change of a residual by less than this, in units of the noise, within the small difference of a slope is no jump that went
 /// over a sample.
 const OVER: f64 = 1.0;
-/// Steps that one core simulates before it takes others.
-const TOGETHER: usize = 4;
 
 /// The measured response.
 #[derive(Clone)]
@@ -123,6 +121,8 @@ pub struct Laid {
     pub cost: f64,
     /// Squares of the priors of the model's numbers and of what is common to all steps.
     pub prior: f64,
+    /// How far it would fall still, to second order.
+    promised: f64,
     /// Residuals.
     pub count: usize,
     /// Information on the values, the nuisances of the steps eliminated.
@@ -133,6 +133,11 @@ impl Laid {
     /// What a fit minimises: the cost with the priors.
     pub fn total(&self) -> f64 {
         self.cost + self.prior
+    }
+
+    /// How far what a fit minimises would fall still if it went on, to second order.
+    pub fn promised(&self) -> f64 {
+        self.promised
     }
 
     fn as_fit(&self, values: &[f64], information: DMatrix<f64>) -> Fit {
@@ -395,7 +400,7 @@ impl<'a> Measured<'a> {
         let each: Vec<(&usize, &Nuisances)> = self.windows(part).iter().zip(nuisances).collect();
         let laid = parallel::map_with(
             &each,
-            TOGETHER,
+            |(k, _)| self.motion.windows[**k].range.len(),
             || self.specimens(spec),
             |specimens, (k, own)| self.lay_one(specimens, **k, values, own),
         )?;

@@ -131,7 +131,7 @@ impl Measured<'_> {
             let each: Vec<usize> = (0..steps.len()).step_by(every).collect();
             let profiles = parallel::map_with(
                 &each,
-                1,
+                |k| steps[*k].simulated.len(),
                 || self.job(&fitted, &laid.values),
                 |job, &k| {
                     let of_step = self.profile_of_slow_noise(job, &steps[k], &laid.nuisances[k], &corners);
