@@ -48,6 +48,8 @@ const MERGED: f64 = 20.0;
 /// What is behind the best by so many nats after a short fit gets no long one; a candidate a few rounds more, to be refused by name.
 pub(super) const HOPELESS: f64 = 80.0;
 const FEW_ROUNDS: usize = 2;
+/// Times what a short fit promises still that one may come to with a longer one.
+pub(super) const PROMISED: f64 = 5.0;
 /// Rounds of a fit with another slow noise.
 const HEARD_ANEW: usize = 6;
 /// Deviations of its prior that a number of the model is from where it was given when it makes up for something; and the share of
@@ -330,7 +332,10 @@ impl Searcher<'_> {
         tried.truncate(near.max(hopeful.clamp(REFUSED, REFINED)));
         // Each step's start anew: what the model before had there holds the gap where it was.
         let arrived = |(spec, _, short): &(ModelSpec, Numbers, Laid)| {
-            let rounds = if behind(short) > HOPELESS { FEW_ROUNDS } else { long.iterations };
+            // One that is a good way behind and promises no more does not catch up either.
+            let settled = behind(short) - PROMISED * 0.5 * HALF as f64 * short.promised();
+            let hopeless = behind(short) > HOPELESS || settled > 0.5 * HOPELESS;
+            let rounds = if hopeless { FEW_ROUNDS } else { long.iterations };
             let (spec, numbers, laid) = fit(measured, spec, Settings { iterations: rounds, ..long })?;
             let mut names = from.names.clone();
             names.push(spec.effects.last()?.name.clone());

@@ -3,7 +3,7 @@
 //! more than chance; a force that is really there brings one that is like it. The verdict "outside the catalogue" stands on it
 //! wherever a base record drives a simulation.
 
-use super::by_response::{looked_at_again, to_first_order};
+use super::by_response::{PROMISED, looked_at_again, to_first_order};
 use super::search::Searcher;
 use super::trial::{self, Trial};
 use super::verdict::Thresholds;
@@ -38,9 +38,6 @@ pub struct Shaped {
 
 /// Share of what an explanation brings to first order below which a shape is not fitted in its place.
 const WORTH: f64 = 0.3;
-
-/// Times what a short fit promises still that one may come to with a longer one.
-const PROMISED: f64 = 5.0;
 
 /// So many of the first are looked at again.
 const AGAIN: usize = 8;

@@ -7,7 +7,6 @@
 
 use crate::parallel;
 use nalgebra::{DMatrix, DVector};
-use std::ops::Range;
 
 /// One free number of a fit.
 #[derive(Clone, Debug, PartialEq)]
@@ -261,41 +260,27 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
 /// Samples of all columns that [`gram`] and [`mixed_gram`] take at a time, so that they stay in the cache.
 const BLOCK: usize = 512;
 
-/// Scalar products of every column with every other: columns x columns.
+/// Scalar products of every column with every other: columns x columns. All columns are of the same length.
 pub fn gram(columns: &[Vec<f64>]) -> DMatrix<f64> {
-    let mut sums = DMatrix::zeros(columns.len(), columns.len());
-    each_block(columns, |block| {
-        for i in 0..columns.len() {
-            for j in 0..=i {
-                sums[(i, j)] += dot(within(&columns[i], &block), within(&columns[j], &block));
-            }
-        }
-    });
-    sums.fill_upper_triangle_with_lower_triangle();
-    sums
+    mixed_gram(columns, columns)
 }
 
-/// Scalar products of every column of one set with every one of another: columns of the first x of the second.
+/// Scalar products of every column of one set with every one of another: columns of the first x of the second. All columns are
+/// of the same length.
 pub fn mixed_gram(first: &[Vec<f64>], second: &[Vec<f64>]) -> DMatrix<f64> {
     let mut sums = DMatrix::zeros(first.len(), second.len());
-    each_block(first, |block| {
-        for (i, a) in first.iter().enumerate() {
-            for (j, b) in second.iter().enumerate() {
-                sums[(i, j)] += dot(within(a, &block), within(b, &block));
-            }
-        }
-    });
+    let samples = first.iter().map(Vec::len).min().unwrap_or(0);
+    for start in (0..samples).step_by(BLOCK) {
+        let block = start..(start + BLOCK).min(samples);
+        let across = DMatrix::from_fn(first.len(), block.len(), |i, n| first[i][start + n]);
+        let along = DMatrix::from_iterator(
+            block.len(),
+            second.len(),
+            second.iter().flat_map(|column| column[block.clone()].iter().copied()),
+        );
+        sums.gemm(1.0, &across, &along, 1.0);
+    }
     sums
-}
-
-fn each_block(columns: &[Vec<f64>], mut of: impl FnMut(Range<usize>)) {
-    let samples = columns.iter().map(Vec::len).max().unwrap_or(0);
-    (0..samples).step_by(BLOCK).for_each(|start| of(start..start + BLOCK));
-}
-
-/// What a column has of a block.
-fn within<'a>(column: &'a [f64], block: &Range<usize>) -> &'a [f64] {
-    &column[block.start.min(column.len())..block.end.min(column.len())]
 }
 
 #[cfg(test)]
