@@ -28,6 +28,7 @@ const AGAIN: usize = 2;
 const NEARBY: f64 = 30.0;
 /// So many of those are refined, and whatever is that near after a short fit; so many at least, to be refused by name.
 const REFINED: usize = 3;
+const TWICE: usize = 2;
 const REFUSED: usize = 2;
 /// Every so many steps are looked at to sort them out.
 pub(super) const HALF: usize = 2;
@@ -325,9 +326,14 @@ impl Searcher<'_> {
         let behind = |short: &Laid| 0.5 * HALF as f64 * (cost(short) - least) / response.colour().max(1.0);
         let within = |nats: f64| tried.iter().take_while(|(_, _, short)| behind(short) < nats).count();
         let (mut near, hopeful) = (within(NEARBY), within(HOPELESS));
-        // Beside an effect a long record leaves so little that a short fit sorts them out.
-        if measured.is_long() && !from.names.is_empty() {
-            near = near.min(REFINED);
+        // Beside an effect a long record leaves so little that a short fit sorts them out; where much is left, most of them do nothing
+        // about it, and what is left is no noise that nats could be counted over.
+        if !from.names.is_empty() {
+            near = match (measured.is_long(), far) {
+                (true, _) => near.min(REFINED),
+                (false, true) => near.min(TWICE * REFINED),
+                (false, false) => near,
+            };
         }
         tried.truncate(near.max(hopeful.clamp(REFUSED, REFINED)));
         // Each step's start anew: what the model before had there holds the gap where it was.

@@ -124,7 +124,10 @@ fn of_motion(
     {
         return of_motion((tests, nominal), options, quieter, (findings, notes), again - 1);
     }
-    decision.chosen = searcher.bounded(decision.chosen);
+    // Of an explanation that does not hold no numbers are told.
+    if decision.verdict != Verdict::OutsideCatalogue {
+        decision.chosen = searcher.bounded(decision.chosen);
+    }
     let gains = searcher.gains(&decision.chosen);
     for (i, finding) in &mut findings {
         gains.get(*i).copied().into_iter().for_each(|gains| finding.sharpen(gains));
