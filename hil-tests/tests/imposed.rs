@@ -1,12 +1,12 @@
 //! The diagnosis on components of other rigs: a displacement imposed, a force measured.
 
-use hil_tests::imposed::{hysteresis, joint, nominal};
+use hil_tests::imposed::{DASHPOT, Rig, SPRING, hysteresis, joint, nominal};
 use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose};
 use shaketable::record::Record;
 
 /// What is found where one effect is missing.
-fn found(record: &Record, name: &str) -> Diagnosis {
-    let found = diagnose(record, &nominal(), &Options::default()).expect("a sound record");
+fn found(record: &Record, rig: Rig, name: &str) -> Diagnosis {
+    let found = diagnose(record, &nominal(rig), &Options::default()).expect("a sound record");
     let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
     assert_eq!((found.verdict, named), (Verdict::Missing, vec![name]), "{:?}", found.refused);
     found
@@ -15,7 +15,7 @@ fn found(record: &Record, name: &str) -> Diagnosis {
 #[test]
 fn the_shape_of_a_hysteresis_is_told_and_nothing_makes_up_for_it() {
     let shape = [("kh_n_m", 2e5), ("dy_m", 1.4e-3), ("n", 1.3), ("gamma", 0.35)];
-    let found = found(&hysteresis(shape.map(|(_, value)| value), 1), "bouc-wen-hysteresis");
+    let found = found(&hysteresis(SPRING, shape.map(|(_, value)| value), 1), SPRING, "bouc-wen-hysteresis");
     for (name, truth) in shape {
         let told = &found.effects[0].parameters[name];
         assert!((told.value / truth - 1.0).abs() < 0.02, "{name}: {told:?}");
@@ -27,9 +27,24 @@ fn the_shape_of_a_hysteresis_is_told_and_nothing_makes_up_for_it() {
 fn play_is_told_alone() {
     // Where the joint opens and closes falls between samples; a second effect made up for that.
     for (play_m, seed) in [(2.5e-3, 122), (1.3e-3, 57)] {
-        let found = found(&joint(play_m, seed), "backlash");
+        let found = found(&joint(SPRING, play_m, seed), SPRING, "backlash");
         let play = &found.effects[0].parameters["b_m"];
         assert!((play.value - play_m).abs() < 5e-6, "{play:?}");
         assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+    }
+}
+
+#[test]
+fn what_a_dashpot_makes_of_the_noise_of_its_displacement_is_noise() {
+    // Second and third effects made up for it, and the floor was told without it.
+    let shape = [("kh_n_m", 4e4), ("dy_m", 1.4e-3), ("n", 1.2), ("gamma", 0.4)];
+    for seed in 1..4 {
+        let record = hysteresis(DASHPOT, shape.map(|(_, value)| value), seed);
+        let found = found(&record, DASHPOT, "bouc-wen-hysteresis");
+        for (name, truth) in shape {
+            let told = &found.effects[0].parameters[name];
+            assert!((told.value / truth - 1.0).abs() < 0.1, "{name}: {told:?}");
+        }
+        assert!((0.8..1.2).contains(&(found.error_after / found.noise_floor)), "{found:?}");
     }
 }

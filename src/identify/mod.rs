@@ -1,5 +1,6 @@
 //! Fitting a model's parameters to records, with intervals.
 
+mod component;
 mod fused;
 pub mod kinematics;
 pub mod least_squares;

@@ -6,6 +6,7 @@
 //! accelerometers are fused: the laser counts below, the twice integrated accelerations above the
 //! frequency where their noises are equal (a Wiener filter, zero phase).
 
+use super::component;
 use super::fused::{differentiate, fuse, integrate};
 use super::kinematics::{self, Accelerometer, Instruments, Tolerances};
 use super::spectral::{Spectrum, along_straight_lines, held_1_s2, stretches_noise_rms};
@@ -183,7 +184,7 @@ impl Motion {
         let mut motion = match record.kind {
             Kind::Base => base(record, instruments)?,
             Kind::Force => forced(record, mass_kg)?,
-            Kind::Component => component(record)?,
+            Kind::Component => component::motion(record)?,
         };
         motion.mass_kg = mass_kg;
         motion.windows = windows::cut(record, &motion, farthest);
@@ -294,7 +295,11 @@ fn rms(x: &[f64]) -> f64 {
     (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt()
 }
 
-fn channel<'a>(record: &Record, values: &'a [f64], channel: &'static str) -> Result<&'a [f64], MotionError> {
+pub(super) fn channel<'a>(
+    record: &Record,
+    values: &'a [f64],
+    channel: &'static str,
+) -> Result<&'a [f64], MotionError> {
     let kind = match record.kind {
         Kind::Base => "base",
         Kind::Force => "force",
@@ -390,7 +395,7 @@ fn base(record: &Record, found: Option<Instruments>) -> Result<Motion, MotionErr
 }
 
 /// Noise of a channel from stretches of it. A converter's steps are noise, too, of which a mass at rest shows nothing.
-fn noise_of_sensor(x: &[f64], rate: f64) -> f64 {
+pub(super) fn noise_of_sensor(x: &[f64], rate: f64) -> f64 {
     let (low, high) = x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
     stretches_noise_rms(x, rate).max(FINEST * rms(x)).max(quantum(x, high - low) / 12f64.sqrt())
 }
@@ -432,20 +437,6 @@ fn forced(record: &Record, mass_kg: f64) -> Result<Motion, MotionError> {
         drive_noise_m_s2,
         restoring_noise_m_s2: drive_noise_m_s2.hypot(noise_acceleration),
         laser_noise_m: displacement.map(noise).unwrap_or(0.0),
-        ..fused.motion(record)
-    })
-}
-
-fn component(record: &Record) -> Result<Motion, MotionError> {
-    let rate = record.sample_rate_hz;
-    let displacement = channel(record, &record.displacement_m, "displacement_m")?;
-    let force = channel(record, &record.force_n, "force_n")?;
-    let laser_noise_m = noise_of_sensor(displacement, rate);
-    let fused = differentiate(displacement, laser_noise_m, rate);
-    Ok(Motion {
-        restoring_m_s2: force.to_vec(),
-        restoring_noise_m_s2: noise_of_sensor(force, rate),
-        laser_noise_m,
         ..fused.motion(record)
     })
 }

@@ -13,6 +13,8 @@ pub struct OutputError {
     pub sum_d: f64,
     /// Sum of squares of the measured D about its mean, m^2.
     pub power_d: f64,
+    /// Sum of squares of what the noise of an imposed motion makes of A, (m/s2)^2.
+    pub carried_a: f64,
     /// Samples.
     pub count: usize,
 }
@@ -25,6 +27,7 @@ impl OutputError {
             power_a: self.power_a + other.power_a,
             sum_d: self.sum_d + other.sum_d,
             power_d: self.power_d + other.power_d,
+            carried_a: self.carried_a + other.carried_a,
             count: self.count + other.count,
         }
     }
@@ -53,11 +56,11 @@ impl OutputError {
         }
     }
 
-    /// The same of the instruments' noise alone.
+    /// The same of the instruments' noise alone, and of what the noise of an imposed motion makes of the force.
     pub fn noise_floor(&self, motion: &Motion) -> f64 {
         let count = self.count as f64;
         let noise = Self {
-            sum_a: motion.restoring_noise_m_s2.powi(2) * count,
+            sum_a: motion.restoring_noise_m_s2.powi(2) * count + self.carried_a,
             sum_d: motion.laser_noise_m.powi(2) * count,
             ..*self
         };

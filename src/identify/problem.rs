@@ -5,10 +5,10 @@
 //! fit; the output domain decides. Residuals are in units of their noise, so that a sum of squares
 //! over the count is 1 when nothing is left.
 
+use super::component;
 use super::kinematics::Instruments;
 use super::motion::{Motion, Window};
 pub use super::output_error::OutputError;
-use super::response::beside_jumps_of_a_component;
 use crate::model::{self, ModelSpec, Specimen};
 use crate::parallel;
 use crate::record::Kind;
@@ -48,6 +48,8 @@ pub struct Problem<'a> {
     weights: Vec<Vec<f64>>,
     /// Change of the restoring force over the mass with the displacement, 1/s2, as the weights.
     slopes: Vec<Vec<f64>>,
+    /// What the noise of displacement and velocity makes of the force over the mass, m/s2 rms, as the weights.
+    carried: Vec<Vec<f64>>,
     /// Drift of the displacement sensor from window to window, m rms.
     drift_m: f64,
     /// Stretches that are simulated in fits: the last cycles of some of the training windows.
@@ -103,6 +105,7 @@ impl<'a> Problem<'a> {
             thin,
             weights: Vec::new(),
             slopes: Vec::new(),
+            carried: Vec::new(),
             drift_m,
             brief: brief(motion),
             used,
@@ -125,8 +128,10 @@ impl<'a> Problem<'a> {
         let centre = self.restoring(spec, zero_m, Part::All);
         let sides = [aside_m, -aside_m].map(|aside| self.restoring(spec, zero_m + aside, Part::All));
         let slow = 3.0 * motion.velocity_noise_m_s;
-        let counts = beside_jumps_of_a_component(motion);
+        let counts = component::beside_jumps(motion);
+        let damping = component::damping(motion, spec);
         self.slopes.clear();
+        self.carried.clear();
         self.weights.clear();
         for (k, window) in motion.windows.iter().enumerate() {
             // Slope and bend at each sample.
@@ -140,14 +145,20 @@ impl<'a> Problem<'a> {
                 }
                 _ => self.samples(window).map(|_| (0.0, 0.0)).collect(),
             };
-            let weight = |(n, (slope, bend)): (usize, &(f64, f64))| {
+            let carried: Vec<f64> = self
+                .samples(window)
+                .zip(&shape)
+                .map(|(n, (slope, _))| (slope * shift).hypot(damping(n) * motion.velocity_noise_m_s))
+                .collect();
+            let weight = |((n, (_, bend)), carried): ((usize, &(f64, f64)), &f64)| {
                 if motion.velocity_m_s[n].abs() < slow || counts.get(n) == Some(&false) {
                     return 0.0;
                 }
-                let sigma = motion.restoring_noise_m_s2.hypot(slope * shift).hypot(0.5 * bend);
+                let sigma = motion.restoring_noise_m_s2.hypot(*carried).hypot(0.5 * bend);
                 if sigma > 0.0 && sigma.is_finite() { 1.0 / sigma } else { 0.0 }
             };
-            self.weights.push(self.samples(window).zip(&shape).map(weight).collect());
+            self.weights.push(self.samples(window).zip(&shape).zip(&carried).map(weight).collect());
+            self.carried.push(carried);
             self.slopes.push(shape.into_iter().map(|(slope, _)| slope).collect());
         }
     }
@@ -309,14 +320,13 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// Share of the mean square of a part's force residuals that the noise of the displacement puts
-    /// there through the slope of the force: it is correlated from sample to sample and no structure.
+    /// Share of the mean square of a part's force residuals that the noise of displacement and velocity puts
+    /// there through the slopes of the force: it is correlated from sample to sample and no structure.
     pub fn carried_noise(&self, part: Part) -> f64 {
-        let shift = self.shift_m();
         let (mut sum, mut count) = (0.0, 0usize);
         for (k, _) in self.motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w)) {
-            for (weight, slope) in self.weights[k].iter().zip(&self.slopes[k]) {
-                sum += (weight * slope * shift).powi(2);
+            for (weight, carried) in self.weights[k].iter().zip(&self.carried[k]) {
+                sum += (weight * carried).powi(2);
                 count += usize::from(*weight > 0.0);
             }
         }
@@ -456,6 +466,7 @@ impl<'a> Problem<'a> {
                 for (i, n) in self.samples(window).enumerate() {
                     error.sum_a += (motion.restoring_m_s2[n] - modelled[k][i]).powi(2);
                     error.power_a += motion.restoring_m_s2[n].powi(2);
+                    error.carried_a += self.carried[k][i].powi(2);
                     error.count += 1;
                 }
                 (k, error)

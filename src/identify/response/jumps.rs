@@ -2,10 +2,8 @@
 //! left out of the sums, where the record or a fitted response has them. Called by every simulation and once by the search.
 
 use super::{Laid, Measured, Simulated, Specimens};
-use crate::identify::motion::Motion;
 use crate::identify::problem::Part;
 use crate::model::ModelSpec;
-use crate::record::Kind;
 
 /// A second difference of the measured acceleration above so many times its noise is a jump, as where a damped contact begins:
 /// which of two samples it falls between is chance.
@@ -14,9 +12,6 @@ const JUMP: f64 = 7.0;
 const AROUND: usize = 2;
 /// A simulated acceleration that spreading changes by more than this, in units of the noise, has a jump beside it.
 const SPREAD: f64 = 0.2;
-
-/// Share of a component's samples above which those beside jumps count all the same: its noise was told wrong.
-const MOST_JUMPS: f64 = 0.2;
 
 /// A simulated step with what spreading its jumps takes: relative velocity and table acceleration at each sample.
 pub(super) struct Sampled {
@@ -94,7 +89,7 @@ pub(super) fn spread_jumps(
 
 /// The same where there may be few samples in a cycle: sixth differences pass no motion even then, but a jump as well as second ones;
 /// their noise over that of those.
-pub(super) fn beside_jumps_of_few_samples(acceleration: &[f64], noise: f64) -> Vec<bool> {
+pub(in crate::identify) fn beside_jumps_of_few_samples(acceleration: &[f64], noise: f64) -> Vec<bool> {
     const SHARPER: f64 = 12.4;
     let mut counts = vec![true; acceleration.len()];
     for (n, w) in acceleration.windows(7).enumerate() {
@@ -104,17 +99,6 @@ pub(super) fn beside_jumps_of_few_samples(acceleration: &[f64], noise: f64) -> V
         }
     }
     counts
-}
-
-/// Whether each sample of a component's force counts: where a joint opens or friction turns, which of two samples it falls between is
-/// chance. Nothing for the other kinds, whose response decides.
-pub(in crate::identify) fn beside_jumps_of_a_component(motion: &Motion) -> Vec<bool> {
-    if motion.kind != Kind::Component {
-        return Vec::new();
-    }
-    let counts = beside_jumps_of_few_samples(&motion.restoring_m_s2, motion.restoring_noise_m_s2);
-    let left_out = counts.iter().filter(|counts| !**counts).count();
-    if left_out as f64 > MOST_JUMPS * counts.len() as f64 { Vec::new() } else { counts }
 }
 
 /// Whether each sample counts: not beside a jump.

@@ -24,8 +24,8 @@ pub use left::Left;
 pub use tangent::{Score, Tangent};
 
 use driven::{Innovations, zero_of_table_m_s2};
-pub(super) use jumps::beside_jumps_of_a_component;
-use jumps::{beside_jumps, beside_jumps_of_few_samples};
+use jumps::beside_jumps;
+pub(super) use jumps::beside_jumps_of_few_samples;
 use slow::Slow;
 use specimens::Specimens;
 
