@@ -87,7 +87,7 @@ impl Default for Thresholds {
             faint: [0.02, 0.1],
             over_noise: 1.05,
             tie: 6.0,
-            left: 0.2,
+            left: 0.05,
             excess: 0.02,
         }
     }
