@@ -9,6 +9,7 @@ mod describe;
 mod hdf5;
 #[cfg(test)]
 mod hostile_tests;
+mod inertia;
 mod lines;
 mod mat;
 #[cfg(feature = "parquet")]

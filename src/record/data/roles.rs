@@ -1,5 +1,6 @@
 //! Which column is what, in which unit and sign, and how columns become a [`Record`].
 
+use super::inertia::drives_a_mass;
 use super::{Columns, DataError, Kind, ReadOptions, Record, content, steps, uniform};
 use std::path::Path;
 use std::str::FromStr;
@@ -268,10 +269,17 @@ fn kind(path: &Path, record: &mut Record, asked: Option<Kind>, columns: &Columns
     } else if force && !record.acceleration_m_s2.is_empty() {
         Ok(Kind::Force)
     } else if force && !record.displacement_m.is_empty() {
-        let said = "displacement and force alone were taken as a component record (displacement imposed); \
-                    `--kind force` if the force was applied";
+        let (kind, said) = if drives_a_mass(&record.displacement_m, &record.force_n) {
+            let said = "displacement and force alone were taken as a force record (part of the force goes with the acceleration, as \
+                        that of a mass does); `--kind component` if the displacement was imposed";
+            (Kind::Force, said)
+        } else {
+            let said = "displacement and force alone were taken as a component record (displacement imposed); \
+                        `--kind force` if the force was applied";
+            (Kind::Component, said)
+        };
         record.notes.push(said.to_owned());
-        Ok(Kind::Component)
+        Ok(kind)
     } else {
         let there = columns.names.join(", ");
         let needed = "a base record needs table_acceleration_m_s2, a force or component record force_n";

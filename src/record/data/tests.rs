@@ -78,6 +78,27 @@ fn component_records_of_the_measured_damper_open_without_options() {
 }
 
 #[test]
+fn displacement_and_force_of_a_driven_mass_open_as_a_force_record() {
+    let folder = folder();
+    let path = folder.path().join("driven.csv");
+    for (mass_kg, kind) in [(1.0, Kind::Force), (0.0, Kind::Component)] {
+        let row = |i: usize| {
+            let t = i as f64 / 256.0;
+            let (x, a) = [2.0, 5.0, 9.0, 14.0].into_iter().fold((0.0, 0.0), |(x, a), w: f64| {
+                let wave = 1e-3 * (w * t + w * w).sin();
+                (x + wave, a - w * w * wave)
+            });
+            format!("{t},{x},{}\n", mass_kg * a + 64.0 * x)
+        };
+        let rows: String = (0..4000).map(row).collect();
+        std::fs::write(&path, format!("time_s,displacement_m,force_n\n{rows}")).expect("written");
+        let record = Record::open(&path, &ReadOptions::default()).expect("read");
+        assert_eq!(record.kind, kind);
+        assert!(record.notes.iter().any(|note| note.contains("alone were taken as")), "{:?}", record.notes);
+    }
+}
+
+#[test]
 fn units_signs_names_and_the_rate_come_from_the_options() {
     let folder = folder();
     let path = folder.path().join("foreign.csv");
