@@ -4,6 +4,8 @@ use super::candidates::contained_in;
 use super::search::{Search, Searcher};
 use super::structure;
 use super::trial::{Response, Trial, schwarz_nats};
+use crate::identify::motion::Motion;
+use crate::identify::spectral::stretches_noise_sigma;
 use crate::model::effects::{self, Place};
 use crate::record::Kind;
 use serde::Serialize;
@@ -97,6 +99,16 @@ impl Thresholds {
     /// What a shape has to bring beside a trial.
     pub fn of_shape(&self, taken: &Trial) -> f64 {
         self.shape[usize::from(!taken.names.is_empty())]
+    }
+
+    /// Error over the noise's that a complete explanation has at most. The noise of another rig's sensors is told from the record,
+    /// of a short one badly.
+    fn most_over_noise(self, motion: &Motion) -> f64 {
+        let told_to = match motion.kind {
+            Kind::Base => 0.0,
+            Kind::Force | Kind::Component => stretches_noise_sigma(motion.displacement_m.len()),
+        };
+        self.over_noise + 2.0 * told_to
     }
 
     /// Nats that what a force of the bumpers brings may be wrong by.
@@ -252,7 +264,9 @@ fn by_response(
     let [deviations, share] = thresholds.beside;
     let beyond_chance = taken.excess() > deviations * taken.chance() && taken.share_left(base) > share;
     let told_by_structure = taken.excess() > thresholds.structure || !taken.names.is_empty() && beyond_chance;
-    let told_by_error = || searcher.over_noise(taken).is_some_and(|times| times > thresholds.over_noise);
+    let told_by_error = || {
+        searcher.over_noise(taken).is_some_and(|times| times > thresholds.most_over_noise(searcher.motion))
+    };
     // Shapes are asked only where the residuals themselves do not tell.
     let told_by_shape = || {
         let shaped = searcher.shaped(base, taken, thresholds);
@@ -287,7 +301,8 @@ pub fn leaves_noise(searcher: &Searcher<'_>, trial: &Trial, thresholds: Threshol
         Kind::Force => searcher.over_noise(trial),
         Kind::Component => Some(trial.force.mean().sqrt()),
     };
-    trial.excess() < thresholds.faint[1] && times.is_some_and(|times| times <= thresholds.over_noise)
+    trial.excess() < thresholds.faint[1]
+        && times.is_some_and(|times| times <= thresholds.most_over_noise(searcher.motion))
 }
 
 /// What brings so many times what is asked of all steps together need not bring its part on each of them.

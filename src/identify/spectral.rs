@@ -170,10 +170,34 @@ const STRETCHES: usize = 32;
 /// filter have taken out.
 const PARTS_OF_BAND: [(f64, f64); 5] = [(0.6, 0.67), (0.67, 0.74), (0.74, 0.81), (0.81, 0.88), (0.88, 0.95)];
 
+/// Expected value of the second of five normal deviates, and its standard deviation (order statistics: David and Nagaraja 2003).
+const SECOND_OF_FIVE: [f64; 2] = [-0.495, 0.56];
+
+/// Stretches of a channel that overlap by half, so many samples each: every how many are looked at, and how many that is.
+fn stretches(samples: usize) -> (usize, usize, usize) {
+    let length = STRETCH.min(samples);
+    let there = samples.saturating_sub(length) / (length / 2).max(1) + 1;
+    let every = there.div_ceil(STRETCHES);
+    (length, every, there.div_ceil(every))
+}
+
+/// Standard deviation of what one part of the band tells of the noise of a channel with so many samples, over the noise: a median of
+/// powers, of bins that the taper makes some alike, and of stretches that overlap.
+fn part_sigma(samples: usize) -> f64 {
+    let (length, _, looked_at) = stretches(samples);
+    let bins = (PARTS_OF_BAND[0].1 - PARTS_OF_BAND[0].0) * length as f64 / 2.0;
+    let independent = bins / 1.5 * (1.0 + 0.5 * (looked_at as f64 - 1.0));
+    0.5 / std::f64::consts::LN_2 / independent.max(1.0).sqrt()
+}
+
+/// Standard deviation of [`stretches_noise_rms`] of a channel with so many samples, over the noise.
+pub fn stretches_noise_sigma(samples: usize) -> f64 {
+    SECOND_OF_FIVE[1] * part_sigma(samples)
+}
+
 /// The same from the upper band of stretches of a channel, the median over them: a jump, or a test that follows another, belongs to one.
 pub fn stretches_noise_rms(channel: &[f64], sample_rate_hz: f64) -> f64 {
-    let every = channel.len().div_ceil(STRETCH * STRETCHES).max(1);
-    let length = STRETCH.min(channel.len());
+    let (length, every, _) = stretches(channel.len());
     let plan = RealFftPlanner::<f64>::new().plan_fft_forward(length.max(1));
     // Tapered, a stretch begins and ends with nothing; 1.5 is the mean square of the window.
     let tapered = |chunk: &[f64]| {
@@ -184,14 +208,16 @@ pub fn stretches_noise_rms(channel: &[f64], sample_rate_hz: f64) -> f64 {
         let spectrum = Spectrum { bins, samples: length, padding: 0, length, sample_rate_hz };
         PARTS_OF_BAND.map(|(low, high)| white_noise_rms(&spectrum, low, high) / 1.5_f64.sqrt())
     };
-    let told: Vec<_> = channel.chunks_exact(length.max(1)).step_by(every).map(tapered).collect();
+    let stretches = channel.windows(length.max(1)).step_by((length / 2).max(1)).step_by(every);
+    let told: Vec<_> = stretches.map(tapered).collect();
     let mut parts = [0, 1, 2, 3, 4].map(|part| {
         let mut of_part: Vec<f64> = told.iter().map(|parts| parts[part]).collect();
         of_part.sort_by(f64::total_cmp);
-        of_part.get(of_part.len() / 2).copied().unwrap_or(0.0)
+        let middle = [of_part.len().saturating_sub(1) / 2, of_part.len() / 2];
+        0.5 * middle.into_iter().filter_map(|i| of_part.get(i)).sum::<f64>()
     });
     parts.sort_by(f64::total_cmp);
-    parts[1]
+    parts[1] / (1.0 + SECOND_OF_FIVE[0] * part_sigma(channel.len())).max(0.5)
 }
 
 /// Stiffness over mass (1/s2) that a force over the mass and the displacement that it makes show together.
@@ -285,6 +311,27 @@ mod tests {
             .collect();
         let rms = stretches_noise_rms(&x, 600.0);
         assert!((rms / 1e-3 - 1.0).abs() < 0.05, "{rms}");
+    }
+
+    #[test]
+    fn noise_of_a_short_channel_is_told_as_well_as_is_said() {
+        use rand::{SeedableRng, prelude::Distribution};
+        let mut random = rand_pcg::Pcg64::seed_from_u64(4);
+        for samples in [1500, 7645, 30_000] {
+            let sigma = stretches_noise_sigma(samples);
+            let told: Vec<f64> = (0..60)
+                .map(|_| {
+                    let mut noise = || -> f64 { rand_distr::StandardNormal.sample(&mut random) };
+                    let x: Vec<f64> =
+                        (0..samples).map(|i| 100.0 * (i as f64 * 0.07).sin() + noise()).collect();
+                    stretches_noise_rms(&x, 254.0) - 1.0
+                })
+                .collect();
+            let mean = told.iter().sum::<f64>() / told.len() as f64;
+            let rms = (told.iter().map(|x| x * x).sum::<f64>() / told.len() as f64).sqrt();
+            assert!(mean.abs() < 0.5 * sigma, "{samples}: {mean} {sigma}");
+            assert!((0.7..1.4).contains(&(rms / sigma)), "{samples}: {rms} {sigma}");
+        }
     }
 
     #[test]

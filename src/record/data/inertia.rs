@@ -48,7 +48,7 @@ fn inertia(displacement_m: &[f64], force_n: &[f64]) -> Option<[f64; 2]> {
         let mut weighed: Vec<Complex64> = spectrum.iter().enumerate().map(weighed).collect();
         // Those two are real in the spectrum of a real channel.
         weighed[0].im = 0.0;
-        if samples % 2 == 0
+        if samples.is_multiple_of(2)
             && let Some(last) = weighed.last_mut()
         {
             last.im = 0.0;
