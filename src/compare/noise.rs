@@ -8,9 +8,8 @@
 
 use super::band::Band;
 use super::window::{Window, windows};
-use crate::identify::spectral::{Spectrum, white_noise_rms};
 use crate::record::{Kind, Record};
-use crate::signal::hann;
+use crate::signal::{Spectrum, TAPERED};
 
 /// Samples that are looked at for white noise.
 const PIECE: usize = 1 << 17;
@@ -87,11 +86,7 @@ fn white(channel: &[f64], rate: f64) -> f64 {
     else {
         return 0.0;
     };
-    let mean = piece.iter().sum::<f64>() / piece.len() as f64;
-    let windowed: Vec<f64> =
-        piece.iter().zip(hann(piece.len())).map(|(x, weight)| (x - mean) * weight).collect();
-    // 1.5 is the mean square of the window.
-    white_noise_rms(&Spectrum::of(&windowed, rate), 0.4, 0.9) / 1.5_f64.sqrt()
+    Spectrum::tapered(piece, rate).white_noise_rms(0.4, 0.9) / TAPERED.sqrt()
 }
 
 /// RMS of what does not repeat from one counted cycle to the next: the median over the steps, so that

@@ -26,9 +26,10 @@ const OF_RINGING: usize = 5;
 const AGAIN: usize = 2;
 /// Nats behind the best within which another start of an effect is worth a fit.
 const NEARBY: f64 = 30.0;
-/// So many of those are refined, and whatever is that near after a short fit; so many at least, to be refused by name.
+/// So many of those are refined, and whatever is that near after a short fit, but beside an effect that leaves much so many at most; so
+/// many at least, to be refused by name.
 const REFINED: usize = 3;
-const TWICE: usize = 2;
+const REFINED_FAR_OFF: usize = 6;
 const REFUSED: usize = 2;
 /// Every so many steps are looked at to sort them out.
 pub(super) const HALF: usize = 2;
@@ -254,23 +255,17 @@ impl Searcher<'_> {
             let starts: Vec<EffectSpec> =
                 effects.iter().flat_map(|e| candidates::starts(e, scales)).collect();
             let fainter = |start: &EffectSpec, factor: f64| candidates::fainter(start, factor, scales);
-            let mut told: Vec<(EffectSpec, Score)> = parallel::map(&starts, parallel::cores(), |start| {
-                to_first_order(&tangent, start.clone(), with, fainter)
-            })
-            .into_iter()
-            .flatten()
-            .collect();
-            told.sort_by(|a, b| b.1.nats.total_cmp(&a.1.nats));
-            first_of_each(&mut told, |effect| AGAIN * fitted_starts(effect), |(start, _)| Some(start));
-            let scored = parallel::map(&told, parallel::cores(), |(start, score)| {
-                let score = looked_at_again(&tangent, &with(start), score.clone());
-                let (scaled, scale) = candidates::scaled(start, score.scale, scales)?;
+            let told = to_first_order(&tangent, &starts, with, fainter, |told| {
+                first_of_each(told, |effect| AGAIN * fitted_starts(effect), |(start, _)| Some(start));
+            });
+            let moved = |(start, score): (EffectSpec, Score)| {
+                let (scaled, scale) = candidates::scaled(&start, score.scale, scales)?;
                 // The model's own numbers follow, where that leaves a model that there can be.
                 let moved = from.refit.numbers.moved(with(&scaled), &score.followed, scale)?;
                 let can_be = model::build(&moved, self.motion.dt_s()).is_ok();
                 Some((score.nats, if can_be { moved } else { with(&scaled) }))
-            });
-            first = scored.into_iter().flatten().collect();
+            };
+            first = told.into_iter().filter_map(moved).collect();
             first.sort_by(|a, b| b.0.total_cmp(&a.0));
             first_of_each(&mut first, fitted_starts, |(_, spec)| spec.effects.last());
         }
@@ -331,7 +326,7 @@ impl Searcher<'_> {
         if !from.names.is_empty() {
             near = match (measured.is_long(), far) {
                 (true, _) => near.min(REFINED),
-                (false, true) => near.min(TWICE * REFINED),
+                (false, true) => near.min(REFINED_FAR_OFF),
                 (false, false) => near,
             };
         }
@@ -431,13 +426,34 @@ impl Searcher<'_> {
     }
 }
 
-/// What a start brings, made fainter where it is too much for first order and may be.
+/// What starts of effects bring to first order: all of them, best first, then those that are kept again, with everything else moved as the
+/// first look has it follow, where that leaves less of a change.
 pub(super) fn to_first_order(
     tangent: &Tangent<'_, '_>,
-    mut start: EffectSpec,
+    starts: &[EffectSpec],
+    with: impl Fn(&EffectSpec) -> ModelSpec + Sync,
+    fainter: impl Fn(&EffectSpec, f64) -> Option<EffectSpec> + Sync,
+    keep: impl FnOnce(&mut Vec<(EffectSpec, Score)>),
+) -> Vec<(EffectSpec, Score)> {
+    let told =
+        parallel::map(starts, parallel::cores(), |start| faint_enough(tangent, start, &with, &fainter));
+    let mut told: Vec<(EffectSpec, Score)> = told.into_iter().flatten().collect();
+    told.sort_by(|a, b| b.1.nats.total_cmp(&a.1.nats));
+    keep(&mut told);
+    parallel::map(&told, parallel::cores(), |(start, score)| {
+        let again = tangent.score_again(&with(start), score).filter(|again| again.change < score.change);
+        (start.clone(), again.unwrap_or_else(|| score.clone()))
+    })
+}
+
+/// What a start brings, made fainter where it is too much for first order and may be.
+fn faint_enough(
+    tangent: &Tangent<'_, '_>,
+    start: &EffectSpec,
     with: impl Fn(&EffectSpec) -> ModelSpec,
     fainter: impl Fn(&EffectSpec, f64) -> Option<EffectSpec>,
 ) -> Option<(EffectSpec, Score)> {
+    let mut start = start.clone();
     let mut change = tangent.change(&with(&start))?;
     for _ in 0..FAINTER {
         if change < FAINT {
@@ -451,11 +467,6 @@ pub(super) fn to_first_order(
     }
     let score = tangent.score(&with(&start))?;
     Some((start, score))
-}
-
-/// What a start brings with everything else moved as a first look has it follow, where that leaves less of a change.
-pub(super) fn looked_at_again(tangent: &Tangent<'_, '_>, with: &ModelSpec, score: Score) -> Score {
-    tangent.score_again(with, &score).filter(|again| again.change < score.change).unwrap_or(score)
 }
 
 /// Starts of an effect that are fitted: where there are several numbers, or the frequency of a ringing, the likelihood has several

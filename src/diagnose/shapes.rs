@@ -3,22 +3,21 @@
 //! more than chance; a force that is really there brings one that is like it. The verdict "outside the catalogue" stands on it
 //! wherever a base record drives a simulation.
 
-use super::by_response::{PROMISED, looked_at_again, to_first_order};
+use super::by_response::{PROMISED, to_first_order};
 use super::search::Searcher;
 use super::trial::{self, Trial};
 use super::verdict::Thresholds;
 use super::{candidates, verdict};
 use crate::identify::least_squares::Settings;
-use crate::identify::response::Laid;
+use crate::identify::response::{self, Laid};
 use crate::model::{EffectSpec, ModelSpec, Scales};
-use crate::parallel;
 
 /// The shape of a force that would bring most.
 #[derive(Clone, Debug)]
 pub struct Shape {
     /// As an expression, lengths over `dm` (m), penetrations over `pm` (m), velocities over `vm` (m/s), times over `tm` (s), an
     /// amplitude `f` (N).
-    pub expression: &'static str,
+    pub expression: String,
     /// Nats of log-likelihood on the steps of the fit, to first order, less what a force of the bumpers may be wrong by.
     pub nats: f64,
     /// Nats that it may be wrong by.
@@ -105,25 +104,20 @@ impl Searcher<'_> {
         let scales = candidates::scales(&trial.refit.spec, self.motion);
         let with = |start: &EffectSpec| candidates::beside(&trial.refit.spec, start);
         let of_bumper = |expression: &str| expression.contains("pm");
-        let shapes: Vec<&'static str> =
-            SHAPES.into_iter().filter(|s| !of_bumper(s) || scales.penetration_m.is_some()).collect();
-        let mut told: Vec<_> = parallel::map(&shapes, parallel::cores(), |expression| {
-            let (start, score) = to_first_order(&tangent, faint(expression, &scales), with, grown)?;
-            Some((*expression, start, score))
-        })
-        .into_iter()
-        .flatten()
-        .collect();
-        told.sort_by(|a, b| b.2.nats.total_cmp(&a.2.nats));
-        told.truncate(AGAIN);
-        let scored = parallel::map(&told, parallel::cores(), |(expression, spec, score)| {
-            let score = looked_at_again(&tangent, &with(spec), score.clone());
-            let grown = with(&grown(spec, score.scale)?);
+        let starts: Vec<EffectSpec> = SHAPES
+            .into_iter()
+            .filter(|expression| !of_bumper(expression) || scales.penetration_m.is_some())
+            .map(|expression| faint(expression, &scales))
+            .collect();
+        let told = to_first_order(&tangent, &starts, with, grown, |told| told.truncate(AGAIN));
+        let shape = |(start, score): (EffectSpec, response::Score)| {
+            let grown = with(&grown(&start, score.scale)?);
             let with = trial.refit.numbers.moved(grown, &score.followed, score.scale)?;
-            let doubt = if of_bumper(expression) { thresholds.doubt(response) } else { 0.0 };
+            let expression = start.expression?;
+            let doubt = if of_bumper(&expression) { thresholds.doubt(response) } else { 0.0 };
             Some(Shape { expression, nats: score.nats - doubt, doubt, with })
-        });
-        scored.into_iter().flatten().max_by(|a, b| a.nats.total_cmp(&b.nats))
+        };
+        told.into_iter().filter_map(shape).max_by(|a, b| a.nats.total_cmp(&b.nats))
     }
 
     /// How much better the best shape does on the base model than the effects that were taken.

@@ -104,9 +104,17 @@ impl Thresholds {
     /// Error over the noise's that a complete explanation has at most. The noise of another rig's sensors is told from the record,
     /// of a short one badly.
     fn most_over_noise(self, motion: &Motion) -> f64 {
+        // Of each record alone, and mixed as its samples are.
+        let all = motion.displacement_m.len();
+        let ends = motion.sources.iter().map(|source| source.first).skip(1).chain([all]);
+        let lengths = motion.sources.iter().zip(ends).map(|(source, end)| end - source.first);
+        let variance = |samples: usize| {
+            let share = samples as f64 / all.max(1) as f64;
+            (share * stretches_noise_sigma(samples)).powi(2)
+        };
         let told_to = match motion.kind {
             Kind::Base => 0.0,
-            Kind::Force | Kind::Component => stretches_noise_sigma(motion.displacement_m.len()),
+            Kind::Force | Kind::Component => lengths.map(variance).sum::<f64>().sqrt(),
         };
         self.over_noise + 2.0 * told_to
     }

@@ -3,9 +3,8 @@
 //! ask for it.
 
 use super::instruments::{Estimate95, Finding};
-use crate::identify::kinematics::{HANN_MEAN_SQUARE, tapered};
-use crate::identify::spectral::Spectrum;
 use crate::record::Record;
+use crate::signal::{Spectrum, TAPERED};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use realfft::num_complex::Complex64;
 use std::f64::consts::TAU;
@@ -101,10 +100,10 @@ impl Spectra {
             pair.map(|(a, b)| 0.5 * of(*a, *b)).collect()
         };
         // Tapered: what one noisy sample at an end stands for beyond it would be several times the noise at low frequencies.
-        let difference = tapered(&half_of(&|a, b| a - b), rate);
-        let mean = tapered(&half_of(&|a, b| a + b), rate);
-        let table = tapered(&record.table_acceleration_m_s2, rate);
-        let of_difference = 0.25 * (noise[0].powi(2) + noise[1].powi(2)) * HANN_MEAN_SQUARE;
+        let difference = Spectrum::tapered(&half_of(&|a, b| a - b), rate);
+        let mean = Spectrum::tapered(&half_of(&|a, b| a + b), rate);
+        let table = Spectrum::tapered(&record.table_acceleration_m_s2, rate);
+        let of_difference = 0.25 * (noise[0].powi(2) + noise[1].powi(2)) * TAPERED;
         let noise_of_a_bin = of_difference * n as f64;
         let bins: Vec<usize> = difference
             .band(0.05, 0.3 * rate)

@@ -2,10 +2,10 @@
 //! integrated with zero phase, each with its noise. Called when a motion is made ready, and by the kinematics.
 
 use super::motion::Motion;
-use super::spectral::Spectrum;
 use super::together::Source;
 use crate::parallel;
 use crate::record::Record;
+use crate::signal::Spectrum;
 use realfft::num_complex::Complex64;
 
 /// Displacement and its derivatives with their noise.

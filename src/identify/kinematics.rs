@@ -7,10 +7,10 @@
 //! told from the laser's.
 
 use super::least_squares::{self, Free, Settings, dot};
-use super::spectral::{Spectrum, white_noise_rms};
 use crate::model::elementary::sin_cos;
 use crate::parallel;
 use crate::record::Record;
+use crate::signal::{Spectrum, TAPERED};
 use nalgebra::{Matrix2, Matrix4, Vector4};
 use realfft::num_complex::Complex64;
 
@@ -76,7 +76,7 @@ impl Instruments {
     /// Unit gains and no delays, with the noise of the record: where it is too short to tell more.
     pub fn assumed_sound(record: &Record) -> Self {
         let rate = record.sample_rate_hz;
-        let noise = |channel: &[f64]| noise_under_taper(&tapered(channel, rate));
+        let noise = |channel: &[f64]| noise_under_taper(&Spectrum::tapered(channel, rate));
         let sound = |channel: &[f64]| Accelerometer {
             gain: Estimate { value: 1.0, sigma: 0.0 },
             noise_m_s2: noise(channel),
@@ -126,7 +126,7 @@ pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
         second,
     ];
     let seen = parallel::map(&channels, parallel::cores(), |channel| {
-        let tapered = tapered(channel, rate);
+        let tapered = Spectrum::tapered(channel, rate);
         (Spectrum::of(channel, rate), noise_under_taper(&tapered), tapered)
     });
     let [(laser, laser_noise_m, tapered_laser), (table, table_noise_m_s2, _), one, two] =
@@ -134,7 +134,7 @@ pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
     // The jumps of impacts and friction are in both accelerometers alike, their noise is not.
     let apart: Vec<f64> =
         record.mass_acceleration_1_m_s2.iter().zip(second).map(|(one, two)| one - two).collect();
-    let (both, apart) = (one.1.hypot(two.1), noise_under_taper(&tapered(&apart, rate)));
+    let (both, apart) = (one.1.hypot(two.1), noise_under_taper(&Spectrum::tapered(&apart, rate)));
     // Channels that are the same come from one sensor.
     let own = if apart > LEAST * both { (apart / both).min(1.0) } else { 1.0 };
     let mass_noise_m_s2 = [one.1, two.1].map(|noise| own * noise);
@@ -154,20 +154,9 @@ pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
     Some(found)
 }
 
-/// Mean square of the window under which noise is measured.
-pub const HANN_MEAN_SQUARE: f64 = 1.5;
-
-/// Spectrum under a Hann window, which shows where the motion is without the ends' leakage.
-pub fn tapered(channel: &[f64], rate: f64) -> Spectrum {
-    let mean = channel.iter().sum::<f64>() / channel.len().max(1) as f64;
-    let window = |i: usize| 1.0 - (std::f64::consts::TAU * i as f64 / channel.len() as f64).cos();
-    let windowed: Vec<f64> = channel.iter().enumerate().map(|(i, x)| (x - mean) * window(i)).collect();
-    Spectrum::of(&windowed, rate)
-}
-
 /// White noise of a channel, rms, from its tapered spectrum.
 fn noise_under_taper(tapered: &Spectrum) -> f64 {
-    white_noise_rms(tapered, 0.5, 0.9) / HANN_MEAN_SQUARE.sqrt()
+    tapered.white_noise_rms(0.5, 0.9) / TAPERED.sqrt()
 }
 
 /// The band in which the relation is tested, and the samples far enough from the ends.

@@ -15,4 +15,5 @@ mod reversals;
 pub mod spectral;
 mod table;
 pub mod together;
+mod weighing;
 mod windows;

@@ -9,13 +9,14 @@
 use super::component;
 use super::fused::{differentiate, fuse, integrate};
 use super::kinematics::{self, Accelerometer, Instruments, Tolerances};
-use super::spectral::{Spectrum, along_straight_lines, held_1_s2, stretches_noise_rms};
+use super::spectral::{along_straight_lines, held_1_s2, stretches_noise_rms};
 use super::table::Table;
 use super::together::Source;
 use super::windows;
 use crate::model::ModelSpec;
 use crate::record::quality::quantum;
 use crate::record::{Kind, Record};
+use crate::signal::Spectrum;
 use realfft::num_complex::Complex64;
 use std::ops::Range;
 

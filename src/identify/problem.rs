@@ -5,7 +5,6 @@
 //! fit; the output domain decides. Residuals are in units of their noise, so that a sum of squares
 //! over the count is 1 when nothing is left.
 
-use super::component;
 use super::kinematics::Instruments;
 use super::motion::{Motion, Window};
 pub use super::output_error::OutputError;
@@ -45,13 +44,13 @@ pub struct Problem<'a> {
     pub thin: usize,
     /// One over the noise of the restoring force at each thinned sample, by window; zero where the
     /// force is not defined (rest, where friction may have any value).
-    weights: Vec<Vec<f64>>,
+    pub(super) weights: Vec<Vec<f64>>,
     /// Change of the restoring force over the mass with the displacement, 1/s2, as the weights.
-    slopes: Vec<Vec<f64>>,
+    pub(super) slopes: Vec<Vec<f64>>,
     /// What the noise of displacement and velocity makes of the force over the mass, m/s2 rms, as the weights.
-    carried: Vec<Vec<f64>>,
+    pub(super) carried: Vec<Vec<f64>>,
     /// Drift of the displacement sensor from window to window, m rms.
-    drift_m: f64,
+    pub(super) drift_m: f64,
     /// Stretches that are simulated in fits: the last cycles of some of the training windows.
     brief: Vec<Window>,
     /// Whether each window is looked at.
@@ -118,52 +117,7 @@ impl<'a> Problem<'a> {
         self.used[k] && part.takes(&self.motion.windows[k])
     }
 
-    /// Weighs the samples for a model and the zero of its displacement sensor: what the noise of the displacement makes of
-    /// the force along its slope, and where the force bends or jumps (a contact begins) within `around` times that noise,
-    /// any part of it.
-    pub fn weigh(&mut self, spec: &ModelSpec, zero_m: f64, around: f64) {
-        let motion = self.motion;
-        let shift = self.shift_m();
-        let aside_m = around * (3.0 * shift + self.drift_m);
-        let centre = self.restoring(spec, zero_m, Part::All);
-        let sides = [aside_m, -aside_m].map(|aside| self.restoring(spec, zero_m + aside, Part::All));
-        let slow = 3.0 * motion.velocity_noise_m_s;
-        let counts = component::beside_jumps(motion);
-        let damping = component::damping(motion, spec);
-        self.slopes.clear();
-        self.carried.clear();
-        self.weights.clear();
-        for (k, window) in motion.windows.iter().enumerate() {
-            // Slope and bend at each sample.
-            let shape: Vec<(f64, f64)> = match (&centre, &sides) {
-                (Some(at), [Some(right), Some(left)]) => {
-                    let both = right[k].iter().zip(&left[k]);
-                    let shape = |(f, (r, l)): (&f64, (&f64, &f64))| {
-                        ((r - l) / (2.0 * aside_m).max(1e-300), r + l - 2.0 * f)
-                    };
-                    at[k].iter().zip(both).map(shape).collect()
-                }
-                _ => self.samples(window).map(|_| (0.0, 0.0)).collect(),
-            };
-            let carried: Vec<f64> = self
-                .samples(window)
-                .zip(&shape)
-                .map(|(n, (slope, _))| (slope * shift).hypot(damping(n) * motion.velocity_noise_m_s))
-                .collect();
-            let weight = |((n, (_, bend)), carried): ((usize, &(f64, f64)), &f64)| {
-                if motion.velocity_m_s[n].abs() < slow || counts.get(n) == Some(&false) {
-                    return 0.0;
-                }
-                let sigma = motion.restoring_noise_m_s2.hypot(*carried).hypot(0.5 * bend);
-                if sigma > 0.0 && sigma.is_finite() { 1.0 / sigma } else { 0.0 }
-            };
-            self.weights.push(self.samples(window).zip(&shape).zip(&carried).map(weight).collect());
-            self.carried.push(carried);
-            self.slopes.push(shape.into_iter().map(|(slope, _)| slope).collect());
-        }
-    }
-
-    fn samples(&self, window: &Window) -> impl Iterator<Item = usize> + use<> {
+    pub(super) fn samples(&self, window: &Window) -> impl Iterator<Item = usize> + use<> {
         window.range.clone().step_by(self.thin)
     }
 
@@ -272,70 +226,6 @@ impl<'a> Problem<'a> {
         }
         let leak = along / power;
         residuals.iter_mut().zip(at()).for_each(|(r, table)| *r -= leak * table);
-    }
-
-    /// Takes the drift of the displacement sensor in one window out of its residuals: a line from cycle to cycle
-    /// within its prior (a first-order autoregression), which the residuals show through the slope of the force.
-    fn take_out_drift(&self, k: usize, residuals: &mut [f64]) {
-        if self.drift_m == 0.0 {
-            return;
-        }
-        let window = &self.motion.windows[k];
-        let cycle = self.motion.sample_rate_hz / (window.frequency_hz.max(1e-9) * self.thin as f64);
-        let cycle = cycle.clamp(2.0, residuals.len().max(2) as f64);
-        let knots = (residuals.len() as f64 / cycle).ceil() as usize + 1;
-        let innovation = (1.0 - DRIFT_MEMORY * DRIFT_MEMORY) * self.drift_m.max(1e-300).powi(2);
-        let mut diagonal = vec![(1.0 + DRIFT_MEMORY * DRIFT_MEMORY) / innovation; knots];
-        let mut beside = vec![-DRIFT_MEMORY / innovation; knots];
-        let mut right = vec![0.0; knots];
-        diagonal[0] = 1.0 / innovation;
-        diagonal[knots - 1] = 1.0 / innovation;
-        // Each residual is steered by the knots on its left and right.
-        let steer = |i: usize| {
-            let (whole, rest) = ((i as f64 / cycle) as usize, (i as f64 / cycle).fract());
-            let s = self.weights[k][i] * self.slopes[k][i];
-            (whole.min(knots - 2), s * (1.0 - rest), s * rest)
-        };
-        for (i, r) in residuals.iter().enumerate() {
-            let (j, a, b) = steer(i);
-            diagonal[j] += a * a;
-            diagonal[j + 1] += b * b;
-            beside[j] += a * b;
-            right[j] += a * r;
-            right[j + 1] += b * r;
-        }
-        // The matrix is symmetric, tridiagonal and positive definite: elimination without pivots.
-        for j in 1..knots {
-            let factor = beside[j - 1] / diagonal[j - 1];
-            diagonal[j] -= factor * beside[j - 1];
-            right[j] -= factor * right[j - 1];
-        }
-        right[knots - 1] /= diagonal[knots - 1];
-        for j in (0..knots - 1).rev() {
-            right[j] = (right[j] - beside[j] * right[j + 1]) / diagonal[j];
-        }
-        for (i, r) in residuals.iter_mut().enumerate() {
-            let (j, a, b) = steer(i);
-            *r -= a * right[j] + b * right[j + 1];
-        }
-    }
-
-    /// Share of the mean square of a part's force residuals that the noise of displacement and velocity puts
-    /// there through the slopes of the force: it is correlated from sample to sample and no structure.
-    pub fn carried_noise(&self, part: Part) -> f64 {
-        let (mut sum, mut count) = (0.0, 0usize);
-        for (k, _) in self.motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w)) {
-            for (weight, carried) in self.weights[k].iter().zip(&self.carried[k]) {
-                sum += (weight * carried).powi(2);
-                count += usize::from(*weight > 0.0);
-            }
-        }
-        sum / count.max(1) as f64
-    }
-
-    /// Noise of the displacement that the force answers to, m rms.
-    fn shift_m(&self) -> f64 {
-        self.motion.displacement_noise_m.max(1e-3 * self.motion.laser_noise_m)
     }
 
     /// Weight of a thinned sample of a window: one over its noise, 1/(m/s2); zero where it does not count.
@@ -460,18 +350,7 @@ impl<'a> Problem<'a> {
         let motion = self.motion;
         let windows = motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w));
         if motion.kind == Kind::Component {
-            let modelled = self.restoring(spec, shift_m, part)?;
-            let force = |(k, window): (usize, &Window)| {
-                let mut error = OutputError::default();
-                for (i, n) in self.samples(window).enumerate() {
-                    error.sum_a += (motion.restoring_m_s2[n] - modelled[k][i]).powi(2);
-                    error.power_a += motion.restoring_m_s2[n].powi(2);
-                    error.carried_a += self.carried[k][i].powi(2);
-                    error.count += 1;
-                }
-                (k, error)
-            };
-            return Some(windows.map(force).collect());
+            return self.force_errors(spec, shift_m, part);
         }
         let share = motion.driven_by(spec);
         let response = |specimens: &mut Vec<Box<dyn Specimen>>, (k, window): &(usize, &Window)| {

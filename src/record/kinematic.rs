@@ -7,9 +7,8 @@
 
 use super::data::{Kind, Record, Role};
 use super::quality::{Finding, Problem, Severity};
-use realfft::RealFftPlanner;
+use crate::signal::Spectrum;
 use realfft::num_complex::Complex64;
-use std::f64::consts::TAU;
 
 /// Relative misfit up to which a relation holds, and that a fault must bring it below.
 const HOLDS: f64 = 0.35;
@@ -242,25 +241,14 @@ fn products(record: &Record, channels: &[&[f64]; 5]) -> Option<Products> {
     let cycle = typical_cycle(input)?;
     let window = ((CYCLES * cycle) as usize).clamp(64, length);
     let count = (length / window).clamp(1, WINDOWS);
-    let plan = RealFftPlanner::<f64>::new().plan_fft_forward(window);
     let mut sum = Products { there: channels.map(|channel| channel.len() == length), ..Products::default() };
-    let mut buffer = plan.make_input_vec();
     for k in 0..count {
         let start = if count > 1 { k * (length - window) / (count - 1) } else { 0 };
-        let mut spectra: [Vec<Complex64>; 5] = Default::default();
-        for (spectrum, channel) in spectra.iter_mut().zip(channels) {
-            *spectrum = plan.make_output_vec();
-            if channel.len() != length {
-                continue;
-            }
-            let piece = &channel[start..start + window];
-            let mean = piece.iter().sum::<f64>() / window as f64;
-            for (i, (slot, x)) in buffer.iter_mut().zip(piece).enumerate() {
-                *slot = (x - mean) * (1.0 - (TAU * i as f64 / window as f64).cos());
-            }
-            plan.process(&mut buffer, spectrum).ok()?;
-        }
-        add_window(&mut sum, &spectra, TAU * record.sample_rate_hz / window as f64);
+        let spectra = channels.map(|channel| {
+            let piece = if channel.len() == length { &channel[start..start + window] } else { &[] };
+            Spectrum::tapered(piece, record.sample_rate_hz)
+        });
+        add_window(&mut sum, &spectra);
     }
     Some(sum)
 }
@@ -286,21 +274,23 @@ fn typical_cycle(input: &[f64]) -> Option<f64> {
 }
 
 /// Adds the bins that hold the motion.
-fn add_window(sum: &mut Products, spectra: &[Vec<Complex64>; 5], step_rad_s: f64) {
-    let bins = spectra[1].len();
-    let strength = |k: usize| spectra[1][k].norm_sqr() + spectra[2][k].norm_sqr() + spectra[3][k].norm_sqr();
+fn add_window(sum: &mut Products, spectra: &[Spectrum; 5]) {
+    let table = &spectra[1];
+    let bins = table.bins.len();
+    let bin = |i: usize, k: usize| spectra[i].bins.get(k).copied().unwrap_or_default();
+    let strength = |k: usize| bin(1, k).norm_sqr() + bin(2, k).norm_sqr() + bin(3, k).norm_sqr();
     let top = (4..bins).map(strength).fold(0.0, f64::max);
     // White noise of the displacements from the top tenth of the band, where nothing moves.
     let high = bins * 9 / 10..bins;
-    let floor = |spectrum: &[Complex64]| {
-        let piece = spectrum.get(high.clone()).unwrap_or(&[]);
+    let floor = |spectrum: &Spectrum| {
+        let piece = spectrum.bins.get(high.clone()).unwrap_or(&[]);
         piece.iter().map(|z| z.norm_sqr()).sum::<f64>() / piece.len().max(1) as f64
     };
     let floors: [f64; 5] = std::array::from_fn(|i| floor(&spectra[i]));
     for k in (4..bins).filter(|k| strength(*k) > 0.01 * top) {
-        let w = k as f64 * step_rad_s;
+        let w = table.omega_rad_s(k);
         let order = |i: usize| if matches!(i, 0 | 4) { -w * w } else { 1.0 };
-        let value: [Complex64; 5] = std::array::from_fn(|i| spectra[i][k] * order(i));
+        let value: [Complex64; 5] = std::array::from_fn(|i| bin(i, k) * order(i));
         for i in 0..5 {
             for j in 0..5 {
                 sum.gram[i][j] += (value[i] * value[j].conj()).re;
@@ -309,7 +299,7 @@ fn add_window(sum: &mut Products, spectra: &[Vec<Complex64>; 5], step_rad_s: f64
                 sum.noise[i] += w.powi(4) * floors[i];
             }
         }
-        let speed = spectra[4][k] * Complex64::new(0.0, w);
+        let speed = bin(4, k) * Complex64::new(0.0, w);
         for (side, i) in [2, 3].into_iter().enumerate() {
             sum.power[side] += (value[i] * speed.conj()).re;
             sum.power_size[side] += value[i].norm() * speed.norm();

@@ -8,12 +8,14 @@ mod analyzer;
 mod butterworth;
 mod low_pass;
 pub(crate) mod offline;
+mod spectrum;
 mod table_motion;
 
 pub use analyzer::{ChannelResult, CyclePlace, HARMONICS, Harmonic, MAX_CYCLES, StepAnalyzer, StepResult};
 pub use butterworth::{BandPass, FilterBank};
 pub use low_pass::LowPass;
 pub use offline::{RecordStep, analyse_record, band_pass, fundamental_hz, hann};
+pub use spectrum::{Spectrum, TAPERED};
 pub use table_motion::{TableMotion, TableNoise, table_acceleration, table_noise};
 
 /// Lower corner of the paper's band-pass, Hz (Andreaus and De Angelis 2020).

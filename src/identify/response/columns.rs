@@ -146,10 +146,10 @@ impl Measured<'_> {
 
 /// What slopes are taken with.
 pub(super) struct Job<'b> {
-    values: &'b [f64],
+    pub(super) values: &'b [f64],
     moving: bool,
     moved: Vec<Moved>,
-    own: Specimens,
+    pub(super) own: Specimens,
     /// Without error-controlled steps.
     exact: bool,
 }

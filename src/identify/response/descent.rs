@@ -52,28 +52,23 @@ impl<'a> Measured<'a> {
         }
         // Where the solver is exact there are no coarse slopes.
         let fine = is_piecewise_linear(start);
-        self.descend(Fitted::new(start, numbers, &free, fine), Part::Training, values, nuisances, settings)
-    }
-
-    /// Lays a fitted model against the held-out steps: only what belongs to each step is estimated.
-    pub fn judge(&self, spec: &ModelSpec, numbers: &Numbers, laid: &Laid) -> Option<Laid> {
-        let free = self.free(numbers, 0.0);
-        let settings = Settings { iterations: 12, ..Settings::default() };
-        let still = self.still(Part::HeldOut);
-        let fitted = Fitted { moving: false, ..Fitted::new(spec, numbers, &free, true) };
-        self.descend(fitted, Part::HeldOut, laid.values.clone(), still, settings)
+        let laid = self.descend(Fitted::new(start, numbers, &free, fine), values, nuisances, settings)?;
+        if settings.iterations <= SORTING {
+            return Some(laid);
+        }
+        let Some(nuisances) = self.better_starts(start, numbers, &laid) else { return Some(laid) };
+        self.descend(Fitted::new(start, numbers, &free, fine), laid.values, nuisances, settings)
     }
 
     fn descend(
         &self,
         mut fitted: Fitted<'_>,
-        part: Part,
         values: Vec<f64>,
         nuisances: Vec<Nuisances>,
         settings: Settings,
     ) -> Option<Laid> {
         let free = fitted.free;
-        let mut at = self.at(&fitted, part, values, nuisances)?;
+        let mut at = self.at(&fitted, values, nuisances)?;
         fitted.spec.clone_from(&at.spec);
         let mut damping = UNDAMPED;
         let mut system = self.slopes(&mut fitted, &at, None)?;
@@ -95,7 +90,7 @@ impl<'a> Measured<'a> {
                 continue;
             }
             let before = at.total;
-            match self.at(&fitted, part, moved, own).filter(|to| to.total < before) {
+            match self.at(&fitted, moved, own).filter(|to| to.total < before) {
                 Some(to) => at = to,
                 None if chords > 0 => {}
                 None if kept => {
@@ -119,7 +114,7 @@ impl<'a> Measured<'a> {
             if chords == 0 {
                 let ended = (damping >= SHORT).then(|| (at.values.clone(), at.nuisances.clone()));
                 if let (Some(from), Some(_)) = (&behind, &ended) {
-                    at = self.further(&fitted, part, at, from);
+                    at = self.further(&fitted, at, from);
                 }
                 behind = ended;
                 rounds += 1;
@@ -155,7 +150,7 @@ impl<'a> Measured<'a> {
             system = self.slopes(&mut fitted, &at, Some(system))?;
         }
         let count = at.steps.iter().map(|s| self.count(s.window)).sum();
-        let prior = if fitted.moving { at.total - at.cost } else { 0.0 };
+        let prior = at.total - at.cost;
         let on = system.step(free, &at.values, &at.nuisances, UNDAMPED);
         let promised = on.map_or(0.0, |(moved, _)| system.promises(free, &at.values, &moved));
         let At { values, nuisances, cost, .. } = at;
@@ -163,16 +158,10 @@ impl<'a> Measured<'a> {
     }
 
     /// Lays a model with such values against the steps of a part.
-    fn at(
-        &self,
-        fitted: &Fitted<'_>,
-        part: Part,
-        values: Vec<f64>,
-        nuisances: Vec<Nuisances>,
-    ) -> Option<At<'_>> {
+    fn at(&self, fitted: &Fitted<'_>, values: Vec<f64>, nuisances: Vec<Nuisances>) -> Option<At<'_>> {
         let mut spec = fitted.spec.clone();
         fitted.numbers.put(&values, &mut spec).then_some(())?;
-        let (cost, steps) = self.lay(&spec, part, &values, &nuisances)?;
+        let (cost, steps) = self.lay(&spec, Part::Training, &values, &nuisances)?;
         let total = cost + least_squares::prior_sum(fitted.free, &values);
         Some(At { spec, values, nuisances, steps, cost, total })
     }
@@ -181,7 +170,6 @@ impl<'a> Measured<'a> {
     fn further<'b>(
         &'b self,
         fitted: &Fitted<'_>,
-        part: Part,
         mut at: At<'b>,
         from: &(Vec<f64>, Vec<Nuisances>),
     ) -> At<'b> {
@@ -196,7 +184,7 @@ impl<'a> Measured<'a> {
                 .zip(fitted.free)
                 .for_each(|(x, free)| *x = x.clamp(free.bounds.0, free.bounds.1));
             let own = nuisances.iter().zip(&from.1).map(|(x, of)| on(x, of)).collect();
-            match self.at(fitted, part, moved, own) {
+            match self.at(fitted, moved, own) {
                 Some(to) if to.total < at.total => at = to,
                 _ => break,
             }
@@ -209,7 +197,7 @@ impl<'a> Measured<'a> {
     fn slopes(&self, fitted: &mut Fitted<'_>, at: &At<'_>, known: Option<System>) -> Option<System> {
         let mut system = self.linearise(fitted, &at.values, &at.nuisances, &at.steps, known)?;
         // The width of exact differences depends on nothing.
-        if !fitted.moving || is_piecewise_linear(&fitted.spec) {
+        if is_piecewise_linear(&fitted.spec) {
             return Some(system);
         }
         for _ in 0..AGAIN {
@@ -244,7 +232,7 @@ impl<'a> Measured<'a> {
                 self.eliminate(job, &steps[k], &nuisances[k], known)
             },
         )?;
-        let size = if fitted.moving { values.len() } else { 0 };
+        let size = values.len();
         let mut system =
             System { normal: DMatrix::zeros(size, size), gradient: DVector::zeros(size), own: Vec::new() };
         for (information, own) in eliminated {
@@ -275,7 +263,7 @@ impl<'a> Measured<'a> {
     }
 
     /// A step's slope of the cost by its sum of squares.
-    fn weight(&self, step: &Step<'_>, own: &[f64], precision: &DMatrix<f64>) -> f64 {
+    pub(super) fn weight(&self, step: &Step<'_>, own: &[f64], precision: &DMatrix<f64>) -> f64 {
         let now = DVector::from_column_slice(own);
         let chi2 = dot(&step.residuals, &step.residuals) + (now.transpose() * precision * &now)[(0, 0)];
         robust(chi2, self.count(step.window)).1
@@ -419,11 +407,7 @@ impl System {
         let change = DVector::from_fn(n, |j, _| moved[j] - values[j]);
         let of_values =
             -2.0 * self.gradient.dot(&change) - (change.transpose() * &self.normal * &change)[(0, 0)];
-        let of_priors = if n > 0 {
-            least_squares::prior_sum(free, values) - least_squares::prior_sum(free, moved)
-        } else {
-            0.0
-        };
+        let of_priors = least_squares::prior_sum(free, values) - least_squares::prior_sum(free, moved);
         of_steps.sum::<f64>() + of_values + of_priors
     }
 
@@ -436,18 +420,10 @@ impl System {
         damping: f64,
     ) -> Option<(Vec<f64>, Vec<Nuisances>)> {
         let n = self.gradient.len();
-        let moved = if n > 0 {
-            least_squares::damped_step(free, values, &self.normal, &self.gradient, damping)?
-        } else {
-            values.to_vec()
-        };
+        let moved = least_squares::damped_step(free, values, &self.normal, &self.gradient, damping)?;
         let change = DVector::from_fn(n, |j, _| moved[j] - values[j]);
         let own = nuisances.iter().zip(&self.own).map(|(own, eliminated)| {
-            let pull = if n > 0 {
-                &eliminated.pull + eliminated.mixed.transpose() * &change
-            } else {
-                eliminated.pull.clone()
-            };
+            let pull = &eliminated.pull + eliminated.mixed.transpose() * &change;
             let step = &eliminated.inverse * pull;
             own.iter().zip(step.iter()).map(|(x, s)| x - s).collect()
         });

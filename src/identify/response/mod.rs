@@ -14,6 +14,7 @@ mod left;
 mod memory;
 mod priors;
 mod profile;
+mod settle;
 mod slow;
 mod specimens;
 mod tangent;

@@ -1,9 +1,8 @@
 //! Whether displacement and force alone speak of a mass that the force drives, or of a component on which the displacement was imposed.
 
+use crate::signal::{Spectrum, hann};
 use nalgebra::{DMatrix, DVector};
-use realfft::RealFftPlanner;
 use realfft::num_complex::Complex64;
-use std::f64::consts::TAU;
 
 /// Fewest samples that say anything.
 const FEWEST: usize = 64;
@@ -28,40 +27,21 @@ fn inertia(displacement_m: &[f64], force_n: &[f64]) -> Option<[f64; 2]> {
     if samples < FEWEST || !sound(displacement_m) || !sound(force_n) {
         return None;
     }
-    let fade = |i: usize| 1.0 - (TAU * i as f64 / samples as f64).cos();
-    let mut planner = RealFftPlanner::<f64>::new();
-    let forward = planner.plan_fft_forward(samples);
-    let back = planner.plan_fft_inverse(samples);
-    let spectrum = |channel: &[f64]| {
-        let mean = channel[..samples].iter().sum::<f64>() / samples as f64;
-        let mut input: Vec<f64> =
-            channel[..samples].iter().enumerate().map(|(i, x)| (x - mean) * fade(i)).collect();
-        let mut output = forward.make_output_vec();
-        forward.process(&mut input, &mut output).ok().map(|()| output)
+    // Times in samples: only shares of the force are told.
+    let [moved, force] = [displacement_m, force_n].map(|channel| Spectrum::tapered(&channel[..samples], 1.0));
+    let cut_rad = moved.omega_rad_s(end_of_motion(&moved));
+    // A channel without what is above the motion, times a factor that goes with the frequency over its end.
+    let channel = |spectrum: &Spectrum, by: fn(f64) -> Complex64| {
+        let weighed = |w: f64| by(w / cut_rad) / (1.0 + (w / cut_rad).powi(8));
+        DVector::from_vec(spectrum.clone().multiply(weighed).channel())
     };
-    let (moved, force) = (spectrum(displacement_m)?, spectrum(force_n)?);
-    let cut = end_of_motion(&moved) as f64;
-    // A channel without what is above the motion, times a power of the frequency in turns a record.
-    let channel = |spectrum: &[Complex64], by: fn(f64) -> Complex64| {
-        let weighed =
-            |(bin, z): (usize, &Complex64)| z * by(bin as f64 / cut) / (1.0 + (bin as f64 / cut).powi(8));
-        let mut weighed: Vec<Complex64> = spectrum.iter().enumerate().map(weighed).collect();
-        // Those two are real in the spectrum of a real channel.
-        weighed[0].im = 0.0;
-        if samples.is_multiple_of(2)
-            && let Some(last) = weighed.last_mut()
-        {
-            last.im = 0.0;
-        }
-        let mut output = back.make_output_vec();
-        back.process(&mut weighed, &mut output).ok().map(|()| DVector::from_vec(output))
-    };
-    let force = channel(&force, |_| Complex64::from(1.0))?;
-    let displacement = channel(&moved, |_| Complex64::from(1.0))?;
-    let velocity = channel(&moved, |w| Complex64::new(0.0, w))?;
-    let acceleration = channel(&moved, |w| Complex64::from(-w * w))?;
-    // As it was before it was faded; where it was faded to nothing it counts for nothing.
-    let cube = DVector::from_fn(samples, |i, _| displacement[i].powi(3) / fade(i).max(1e-6).powi(2));
+    let force = channel(&force, |_| Complex64::ONE);
+    let displacement = channel(&moved, |_| Complex64::ONE);
+    let velocity = channel(&moved, |w| Complex64::new(0.0, w));
+    let acceleration = channel(&moved, |w| Complex64::from(-w * w));
+    // As it was before it was tapered; where it was tapered to nothing it counts for nothing.
+    let tapered = hann(samples).zip(&displacement).map(|(w, d)| d.powi(3) / w.max(1e-6).powi(2));
+    let cube = DVector::from_iterator(samples, tapered);
     let columns = [displacement, velocity, cube, acceleration].map(|column| column.normalize());
     let left = |columns: &[DVector<f64>]| {
         let along = DMatrix::from_columns(columns);
@@ -76,8 +56,8 @@ fn inertia(displacement_m: &[f64], force_n: &[f64]) -> Option<[f64; 2]> {
 }
 
 /// Highest bin of a displacement's spectrum that stands above its noise, at least one.
-fn end_of_motion(spectrum: &[Complex64]) -> usize {
-    let power: Vec<f64> = spectrum.iter().map(Complex64::norm_sqr).collect();
+fn end_of_motion(spectrum: &Spectrum) -> usize {
+    let power: Vec<f64> = spectrum.bins.iter().map(Complex64::norm_sqr).collect();
     let mut upper = power[power.len() / 2..].to_vec();
     let middle = upper.len() / 2;
     let (_, noise, _) = upper.select_nth_unstable_by(middle, f64::total_cmp);

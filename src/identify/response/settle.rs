@@ -1,0 +1,225 @@
+//! What belongs to each step alone, estimated where the numbers of a model stay: of the held-out steps whenever a fit is judged, and of
+//! those of training whose start is hardly known when a fit has ended.
+
+use super::columns::Job;
+use super::descent::Fitted;
+use super::{Laid, Measured, Nuisances, Step};
+use crate::identify::least_squares::{dot, gram};
+use crate::identify::numbers::Numbers;
+use crate::identify::problem::Part;
+use crate::model::ModelSpec;
+use crate::parallel;
+use nalgebra::{DMatrix, DVector};
+use std::sync::Arc;
+
+/// Steps that are tried at most.
+const TRIED: usize = 40;
+/// A fall of a step's cost that is not worth a simulation.
+const SETTLED: f64 = 2e-3;
+/// Share of the cost above which slopes hold on, and share of what they promise below which they do not.
+const LITTLE: f64 = 0.98;
+const SLOW: f64 = 0.25;
+/// Damping where a step led up, and the one beyond which none leads down.
+const DAMPED: f64 = 1e-2;
+const STUCK: f64 = 1e4;
+/// A step is elsewhere when it leaves so many times what most steps leave; and what another start has to bring at least.
+const ELSEWHERE: f64 = 3.0;
+const BETTER: f64 = 0.1;
+/// Other starts of such a step: displacement and velocity, in deviations of what is known of them beforehand.
+const OTHER_STARTS: [[f64; 2]; 8] =
+    [[0.3, 0.0], [-0.3, 0.0], [0.0, 0.3], [0.0, -0.3], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];
+
+/// Where a step has settled.
+struct Settled {
+    cost: f64,
+    own: Nuisances,
+}
+
+impl Measured<'_> {
+    /// Lays a fitted model against the held-out steps: only what belongs to each step is estimated.
+    pub fn judge(&self, spec: &ModelSpec, numbers: &Numbers, laid: &Laid) -> Option<Laid> {
+        let mut spec = spec.clone();
+        numbers.put(&laid.values, &mut spec).then_some(())?;
+        let free = self.free(numbers, 0.0);
+        let fitted = Fitted { moving: false, ..Fitted::new(&spec, numbers, &free, true) };
+        let windows = self.windows(Part::HeldOut);
+        let starts: Vec<(usize, Nuisances)> =
+            windows.iter().copied().zip(self.still(Part::HeldOut)).collect();
+        let mut settled = self.settled(&fitted, &laid.values, &starts, |settled| settled)?;
+        self.elsewhere(&fitted, &laid.values, windows, &mut settled)?;
+        Some(Laid {
+            values: laid.values.clone(),
+            cost: settled.iter().map(|of| of.cost).sum(),
+            prior: 0.0,
+            promised: 0.0,
+            count: windows.iter().map(|k| self.count(&self.motion.windows[*k])).sum(),
+            information: DMatrix::zeros(0, 0),
+            nuisances: settled.into_iter().map(|of| of.own).collect(),
+        })
+    }
+
+    /// What belongs to the steps of training where some of it is found in a better place than where a fit ended; nothing where none is.
+    pub(super) fn better_starts(
+        &self,
+        spec: &ModelSpec,
+        numbers: &Numbers,
+        laid: &Laid,
+    ) -> Option<Vec<Nuisances>> {
+        if self.sees_displacement {
+            return None;
+        }
+        let mut spec = spec.clone();
+        numbers.put(&laid.values, &mut spec).then_some(())?;
+        let free = self.free(numbers, 0.0);
+        let fitted = Fitted { moving: false, ..Fitted::new(&spec, numbers, &free, true) };
+        let windows = self.windows(Part::Training);
+        let starts: Vec<(usize, &Nuisances)> = windows.iter().copied().zip(&laid.nuisances).collect();
+        let mut settled = parallel::map_with(
+            &starts,
+            |(k, _)| self.motion.windows[*k].range.len(),
+            || self.specimens(&spec),
+            |specimens, (k, own)| {
+                let (cost, _) = self.lay_one(specimens, *k, &laid.values, own)?;
+                Some(Settled { cost, own: own.to_vec() })
+            },
+        )?;
+        let found = self.elsewhere(&fitted, &laid.values, windows, &mut settled)?;
+        found.then(|| settled.into_iter().map(|of| of.own).collect())
+    }
+
+    /// Steps settled from so many starts, each the number of its window and what belongs to it there.
+    fn settled<T: Send>(
+        &self,
+        fitted: &Fitted<'_>,
+        values: &[f64],
+        starts: &[(usize, Nuisances)],
+        then: impl Fn(Option<Settled>) -> Option<T> + Sync,
+    ) -> Option<Vec<T>> {
+        let length = |(k, _): &(usize, Nuisances)| self.motion.windows[*k].range.len();
+        parallel::map_with(
+            starts,
+            length,
+            || self.job(fitted, values),
+            |job, (k, own)| then(self.settle(job, *k, own.clone())),
+        )
+    }
+
+    /// Steps whose start nothing but an integrated acceleration tells may have settled where a contact begins on the wrong side: those
+    /// that leave far more than most are tried from other starts. Whether any did better.
+    fn elsewhere(
+        &self,
+        fitted: &Fitted<'_>,
+        values: &[f64],
+        windows: &[usize],
+        settled: &mut [Settled],
+    ) -> Option<bool> {
+        if self.sees_displacement {
+            return Some(false);
+        }
+        let over = |(k, settled): (&usize, &Settled)| {
+            settled.cost / self.count(&self.motion.windows[*k]).max(1) as f64
+        };
+        let means: Vec<f64> = windows.iter().zip(settled.iter()).map(over).collect();
+        let mut sorted = means.clone();
+        sorted.sort_by(f64::total_cmp);
+        let most = ELSEWHERE * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+        let mut found = false;
+        for i in (0..means.len()).filter(|i| means[*i] > most) {
+            let sigmas = self.sigmas(&self.motion.windows[windows[i]]);
+            let start = |deviations: [f64; 2]| {
+                let mut own = vec![0.0; settled[i].own.len()];
+                own.iter_mut().zip(&sigmas).zip(deviations).for_each(|((x, sigma), by)| *x = by * sigma);
+                (windows[i], own)
+            };
+            // One that leaves the finite numbers is no better.
+            let tried = self.settled(fitted, values, &OTHER_STARTS.map(start), Some)?;
+            for other in tried.into_iter().flatten() {
+                if other.cost < settled[i].cost - BETTER {
+                    (settled[i], found) = (other, true);
+                }
+            }
+        }
+        Some(found)
+    }
+
+    /// Gauss-Newton on what belongs to one step, damped where it leads up.
+    fn settle(&self, job: &mut Job<'_>, k: usize, mut own: Nuisances) -> Option<Settled> {
+        let precision = self.precision(&self.motion.windows[k]);
+        let (mut cost, mut step) = self.lay_one(&mut job.own, k, job.values, &own)?;
+        let mut slopes = Slopes::of(self, job, &step, &own, cost, &precision);
+        let mut damping = 0.0;
+        for _ in 0..TRIED {
+            let Some((change, promised)) = slopes.change(self, &step, &own, &precision, damping) else {
+                break;
+            };
+            let fresh = cost >= slopes.cost;
+            if promised < SETTLED && (fresh || cost > LITTLE * slopes.cost) {
+                break;
+            }
+            let moved: Nuisances = own.iter().zip(change.iter()).map(|(x, by)| x - by).collect();
+            match self.lay_one(&mut job.own, k, job.values, &moved).filter(|(to, _)| *to < cost) {
+                Some((to, at)) => {
+                    let worth_going_on = cost - to > SLOW * promised;
+                    (cost, step, own, damping) = (to, at, moved, 0.1 * damping);
+                    if worth_going_on && cost > LITTLE * slopes.cost {
+                        continue;
+                    }
+                }
+                None if fresh => {
+                    damping = (10.0 * damping).max(DAMPED);
+                    if damping > STUCK {
+                        break;
+                    }
+                    continue;
+                }
+                None => {}
+            }
+            slopes = Slopes::of(self, job, &step, &own, cost, &precision);
+        }
+        Some(Settled { cost, own })
+    }
+}
+
+/// Slopes of a step's residuals along what belongs to it, and the cost where they were taken.
+struct Slopes {
+    beside: Arc<Vec<Vec<f64>>>,
+    fisher: DMatrix<f64>,
+    cost: f64,
+}
+
+impl Slopes {
+    fn of(
+        measured: &Measured<'_>,
+        job: &mut Job<'_>,
+        step: &Step<'_>,
+        own: &[f64],
+        cost: f64,
+        precision: &DMatrix<f64>,
+    ) -> Self {
+        let (_, beside) = measured.columns(job, step, own, None);
+        let fisher = gram(&beside) + precision;
+        Self { beside, fisher, cost }
+    }
+
+    /// By how much to go back along each nuisance, and how far the cost falls to second order without damping.
+    fn change(
+        &self,
+        measured: &Measured<'_>,
+        step: &Step<'_>,
+        own: &[f64],
+        precision: &DMatrix<f64>,
+        damping: f64,
+    ) -> Option<(DVector<f64>, f64)> {
+        let weight = measured.weight(step, own, precision);
+        let along = DVector::from_fn(own.len(), |i, _| dot(&self.beside[i], &step.residuals));
+        let pull = along + precision * DVector::from_column_slice(own);
+        let undamped = self.fisher.clone().cholesky()?.solve(&pull);
+        let promised = weight * pull.dot(&undamped);
+        if damping == 0.0 {
+            return Some((undamped, promised));
+        }
+        let mut damped = self.fisher.clone();
+        (0..own.len()).for_each(|i| damped[(i, i)] *= 1.0 + damping);
+        Some((damped.cholesky()?.solve(&pull), promised))
+    }
+}

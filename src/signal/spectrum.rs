@@ -1,0 +1,205 @@
+//! Zero-phase filtering of whole channels in the frequency domain.
+//!
+//! Used offline only, where the future is known: differentiation, integration and the fusing of
+//! channels are exact multiplications there. The ends are extended by odd reflection, so that a
+//! channel that starts or ends in motion does not ring.
+
+use super::hann;
+use realfft::{RealFftPlanner, num_complex::Complex64};
+use std::f64::consts::TAU;
+
+/// Mean square of the window of [`Spectrum::tapered`].
+pub const TAPERED: f64 = 1.5;
+
+/// A real channel as its one-sided spectrum.
+pub struct Spectrum {
+    /// Bins from 0 to the Nyquist frequency.
+    pub bins: Vec<Complex64>,
+    samples: usize,
+    padding: usize,
+    length: usize,
+    sample_rate_hz: f64,
+}
+
+impl Spectrum {
+    /// Spectrum of a channel sampled at `sample_rate_hz`, extended at both ends by up to two
+    /// seconds of odd reflection. All channels of one length give bins of the same frequencies.
+    pub fn of(channel: &[f64], sample_rate_hz: f64) -> Self {
+        let samples = channel.len();
+        let padding = ((2.0 * sample_rate_hz) as usize).min(samples.saturating_sub(1));
+        let length = fast_length(samples + 2 * padding + padding / 4);
+        let mut extended = Vec::with_capacity(length);
+        let (first, last) = match (channel.first(), channel.last()) {
+            (Some(first), Some(last)) => (*first, *last),
+            _ => (0.0, 0.0),
+        };
+        extended.extend((1..=padding).rev().map(|i| 2.0 * first - channel[i]));
+        extended.extend_from_slice(channel);
+        extended.extend((1..=padding).map(|i| 2.0 * last - channel[samples - 1 - i]));
+        // The rest joins the two ends smoothly, and long enough: a channel that ends elsewhere than it began has no noise from that.
+        let (tail, head) =
+            (extended.last().copied().unwrap_or(0.0), extended.first().copied().unwrap_or(0.0));
+        let fill = length - extended.len();
+        extended.extend((0..fill).map(|i| {
+            let u = (i as f64 + 1.0) / (fill as f64 + 1.0);
+            tail + (head - tail) * u * u * (3.0 - 2.0 * u)
+        }));
+        Self::of_extended(extended, samples, padding, sample_rate_hz)
+    }
+
+    /// The same of a channel that is to be integrated: reflected about zero at both ends and faded out there. Reflected about where it
+    /// happens to be when the record ends, an oscillation would have a mean beyond, and its integral would run away.
+    pub fn fading(channel: &[f64], sample_rate_hz: f64) -> Self {
+        let samples = channel.len();
+        let padding = ((2.0 * sample_rate_hz) as usize).min(samples.saturating_sub(1));
+        let length = fast_length(samples + 2 * padding);
+        let fade = |i: usize| 0.5 * (1.0 + (std::f64::consts::PI * i as f64 / (padding as f64 + 1.0)).cos());
+        let mut extended = Vec::with_capacity(length);
+        extended.extend((1..=padding).rev().map(|i| -fade(i) * channel[i]));
+        extended.extend_from_slice(channel);
+        extended.extend((1..=padding).map(|i| -fade(i) * channel[samples - 1 - i]));
+        extended.resize(length, 0.0);
+        Self::of_extended(extended, samples, padding, sample_rate_hz)
+    }
+
+    /// The same under a Hann window, without its mean: where the motion is and how much noise, without the ends' leakage. Powers are
+    /// [`TAPERED`] times those of the channel. All channels of one length give bins of the same frequencies.
+    pub fn tapered(channel: &[f64], sample_rate_hz: f64) -> Self {
+        let samples = channel.len();
+        let mean = channel.iter().sum::<f64>() / samples.max(1) as f64;
+        let mut tapered: Vec<f64> = channel.iter().zip(hann(samples)).map(|(x, w)| (x - mean) * w).collect();
+        tapered.resize(fast_length(samples), 0.0);
+        Self::of_extended(tapered, samples, 0, sample_rate_hz)
+    }
+
+    fn of_extended(mut extended: Vec<f64>, samples: usize, padding: usize, sample_rate_hz: f64) -> Self {
+        let length = extended.len();
+        let plan = RealFftPlanner::<f64>::new().plan_fft_forward(length);
+        let mut bins = plan.make_output_vec();
+        // The lengths match by construction, so the transform cannot refuse.
+        let _ = plan.process(&mut extended, &mut bins);
+        Self { bins, samples, padding, length, sample_rate_hz }
+    }
+
+    /// Number of samples of the channel.
+    pub fn samples(&self) -> usize {
+        self.samples
+    }
+
+    /// Sampling rate of the channel, Hz.
+    pub fn sample_rate_hz(&self) -> f64 {
+        self.sample_rate_hz
+    }
+
+    /// Angular frequency of a bin, rad/s.
+    pub fn omega_rad_s(&self, bin: usize) -> f64 {
+        TAU * self.sample_rate_hz * bin as f64 / self.length as f64
+    }
+
+    /// Range of bins between two frequencies, Hz.
+    pub fn band(&self, low_hz: f64, high_hz: f64) -> std::ops::Range<usize> {
+        let bin = |f: f64| (f * self.length as f64 / self.sample_rate_hz).round().max(0.0) as usize;
+        let end = bin(high_hz).min(self.bins.len());
+        bin(low_hz).min(end)..end
+    }
+
+    /// Multiplies every bin by a function of its angular frequency (rad/s).
+    pub fn multiply(mut self, factor: impl Fn(f64) -> Complex64) -> Self {
+        for bin in 0..self.bins.len() {
+            let omega_rad_s = self.omega_rad_s(bin);
+            self.bins[bin] *= factor(omega_rad_s);
+        }
+        self
+    }
+
+    /// Adds another spectrum of the same length.
+    #[expect(clippy::should_implement_trait, reason = "takes the other by reference, reads in a chain")]
+    pub fn add(mut self, other: &Self) -> Self {
+        for (bin, value) in self.bins.iter_mut().zip(&other.bins) {
+            *bin += value;
+        }
+        self
+    }
+
+    /// Back to the channel, padding removed.
+    pub fn channel(mut self) -> Vec<f64> {
+        let plan = RealFftPlanner::<f64>::new().plan_fft_inverse(self.length);
+        // The inverse of a real channel has real ends; rounding may have left an imaginary part.
+        for end in [0, self.bins.len() - 1] {
+            self.bins[end].im = 0.0;
+        }
+        let mut extended = plan.make_output_vec();
+        let _ = plan.process(&mut self.bins, &mut extended);
+        let scale = 1.0 / self.length as f64;
+        extended[self.padding..self.padding + self.samples].iter().map(|x| x * scale).collect()
+    }
+
+    /// RMS that white noise of the channel would have over the whole band, judged from the band between two fractions of the Nyquist
+    /// frequency, by the median of the bins (lines do not count).
+    pub fn white_noise_rms(&self, low: f64, high: f64) -> f64 {
+        let nyquist = self.sample_rate_hz / 2.0;
+        let mut power: Vec<f64> =
+            self.bins[self.band(low * nyquist, high * nyquist)].iter().map(|z| z.norm_sqr()).collect();
+        if power.is_empty() {
+            return 0.0;
+        }
+        let middle = power.len() / 2;
+        let (_, median, _) = power.select_nth_unstable_by(middle, f64::total_cmp);
+        // |X|^2 of white noise is exponential with mean N sigma^2, and its median is ln 2 of the mean.
+        let noisy = self.samples + 2 * self.padding;
+        (*median / std::f64::consts::LN_2 / noisy as f64).sqrt()
+    }
+}
+
+/// A copy for another factor.
+impl Clone for Spectrum {
+    fn clone(&self) -> Self {
+        Self { bins: self.bins.clone(), ..*self }
+    }
+}
+
+/// The next even length with no prime factor above 5.
+fn fast_length(at_least: usize) -> usize {
+    let mut length = at_least.max(2).next_multiple_of(2);
+    loop {
+        let mut rest = length;
+        for prime in [2, 3, 5] {
+            while rest.is_multiple_of(prime) {
+                rest /= prime;
+            }
+        }
+        if rest == 1 {
+            return length;
+        }
+        length += 2;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn differentiation_is_exact_for_a_sine_that_is_cut_anywhere() {
+        let rate = 512.0;
+        let w = TAU * 1.3;
+        let x: Vec<f64> = (0..6000).map(|i| (w * i as f64 / rate).sin()).collect();
+        let v = Spectrum::of(&x, rate).multiply(|omega| Complex64::new(0.0, omega)).channel();
+        for (i, v) in v.iter().enumerate().take(4500).skip(1500) {
+            let exact = w * (w * i as f64 / rate).cos();
+            assert!((v - exact).abs() < 2e-3 * w, "{i}: {v} {exact}");
+        }
+    }
+
+    #[test]
+    fn noise_is_judged_beside_lines() {
+        use rand::{SeedableRng, prelude::Distribution};
+        let mut random = rand_pcg::Pcg64::seed_from_u64(3);
+        let normal = rand_distr::Normal::new(0.0, 0.02).expect("valid");
+        let x: Vec<f64> = (0..40_000).map(|i| (i as f64 * 0.01).sin() + normal.sample(&mut random)).collect();
+        let rms = Spectrum::of(&x, 2048.0).white_noise_rms(0.3, 0.9);
+        assert!((rms / 0.02 - 1.0).abs() < 0.05, "{rms}");
+        let tapered = Spectrum::tapered(&x, 2048.0).white_noise_rms(0.3, 0.9) / TAPERED.sqrt();
+        assert!((tapered / 0.02 - 1.0).abs() < 0.05, "{tapered}");
+    }
+}
