@@ -161,6 +161,54 @@ pub fn held(body: &Body, seed: u64) -> Record {
     record
 }
 
+/// A Bouc-Wen hysteresis that grows stiffer as it is loaded, of the benchmark of J.-P. Noel and M. Schoukens (Hysteretic benchmark with a
+/// dynamic nonlinearity, Workshop on Nonlinear System Identification Benchmarks, Brussels 2016): mass (kg), stiffness (N/m) and damping
+/// (N s/m) beside it, its own stiffness (N/m), what turns it as it is loaded and unloaded (1/m).
+pub const STIFFENING: [f64; 6] = [2.0, 5e4, 10.0, 5e4, 0.8e3, -1.1e3];
+
+/// Waves of 5 to 150 Hz, 50 N rms, drive it for some seconds; its displacement is told 750 times a second to eight micrometres, as there.
+pub fn stiffening(seed: u64) -> Record {
+    const RATE_HZ: f64 = 750.0;
+    const FINE: usize = 20;
+    const SAMPLES: usize = 6000;
+    const WAVES: usize = 400;
+    const RMS_N: f64 = 50.0;
+    let [mass, stiffness, damping, own, loaded, unloaded] = STIFFENING;
+    let mut random = Pcg64::seed_from_u64(seed);
+    let waves: Vec<(f64, f64)> =
+        (0..WAVES).map(|_| (TAU * random.random_range(5.0..150.0), random.random_range(0.0..TAU))).collect();
+    let force = |t: f64| {
+        RMS_N
+            * (2.0 / WAVES as f64).sqrt()
+            * waves.iter().map(|(w, phase)| (w * t + phase).sin()).sum::<f64>()
+    };
+    let rates = |f: f64, [x, v, z]: [f64; 3]| {
+        let turned = loaded * v.abs() * z + unloaded * v * z.abs();
+        [v, (f - stiffness * x - damping * v - z) / mass, own * v - turned]
+    };
+    let on = |at: [f64; 3], by: [f64; 3], h: f64| [0, 1, 2].map(|i| at[i] + h * by[i]);
+    let h = 1.0 / (RATE_HZ * FINE as f64);
+    let mut record = Record::empty("stiffening", Kind::Force, RATE_HZ);
+    let mut state = [0.0; 3];
+    let mut now = force(0.0);
+    for i in 0..SAMPLES {
+        record.time_s.push(i as f64 / RATE_HZ);
+        record.force_n.push(now);
+        record.displacement_m.push(state[0] + noise(&mut random, 8e-6));
+        for k in 0..FINE {
+            let t = h * (i * FINE + k) as f64;
+            let (middle, end) = (force(t + 0.5 * h), force(t + h));
+            let k1 = rates(now, state);
+            let k2 = rates(middle, on(state, k1, 0.5 * h));
+            let k3 = rates(middle, on(state, k2, 0.5 * h));
+            let k4 = rates(end, on(state, k3, h));
+            state = [0, 1, 2].map(|i| state[i] + h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]));
+            now = end;
+        }
+    }
+    record
+}
+
 /// A drive moves an axis to and fro between places, and holds it there; its force is told 1000 times a second, its place to a micrometre.
 pub fn axis(body: &Body, seed: u64) -> Record {
     const RATE_HZ: f64 = 1000.0;

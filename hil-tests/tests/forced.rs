@@ -1,6 +1,6 @@
 //! The diagnosis on records of an applied force from other rigs: other magnitudes, few samples a cycle, nothing that holds the mass.
 
-use hil_tests::forced::{Body, axis, felt_waves, held, waves};
+use hil_tests::forced::{Body, STIFFENING, axis, felt_waves, held, stiffening, waves};
 use shaketable::compare::compare;
 use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose};
 use shaketable::model::ModelSpec;
@@ -116,4 +116,32 @@ fn dry_friction_of_an_axis_that_nothing_holds_is_named() {
     let fc = &found.effects[0].parameters["fc_n"];
     assert!((fc.value - 20.0).abs() < 0.1, "{fc:?}");
     assert!(found.error_after < 0.3 * found.error_reidentified);
+}
+
+#[test]
+fn a_hysteresis_that_grows_stiffer_as_it_is_loaded_is_named_with_its_numbers() {
+    let [mass_kg, stiffness_n_m, damping_n_s_m, own, loaded, unloaded] = STIFFENING;
+    // What is measured of it beforehand holds both springs.
+    let body = Body { mass_kg, stiffness_n_m: stiffness_n_m + own, damping_n_s_m, ..NOTHING };
+    let found = found(&stiffening(21), &body.nominal("stiffening", 22));
+    let names: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
+    assert_eq!(
+        (found.verdict, names),
+        (Verdict::Missing, vec!["bouc-wen-hysteresis"]),
+        "{:?}",
+        found.refused
+    );
+    assert!(
+        found.error_after < 1.05 * found.noise_floor && found.error_reidentified > 0.2,
+        "{:?}",
+        found.ladder
+    );
+    let told = &found.effects[0].parameters;
+    assert!((told["kh_n_m"].value / own - 1.0).abs() < 0.02, "{told:?}");
+    // Over the yield displacement alone they count.
+    for (name, truth) in [("beta", loaded), ("gamma", unloaded)] {
+        let over = told[name].value / told["dy_m"].value;
+        assert!((over / truth - 1.0).abs() < 0.05, "{name}: {over} where {truth} is");
+    }
+    within(&found, "isolator.stiffness_n_m[0]", stiffness_n_m, 4.0);
 }

@@ -9,7 +9,7 @@ use crate::identify::least_squares::Settings;
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
 use crate::identify::refit::Refit;
-use crate::identify::response::{Laid, Measured, Score, Tangent};
+use crate::identify::response::{Laid, Measured, PROMISED, Score, Tangent};
 use crate::model;
 use crate::model::effects::Effect;
 use crate::model::{EffectSpec, ModelSpec, Scales};
@@ -50,8 +50,6 @@ const MERGED: f64 = 20.0;
 /// What is behind the best by so many nats after a short fit gets no long one; a candidate a few rounds more, to be refused by name.
 pub(super) const HOPELESS: f64 = 80.0;
 const FEW_ROUNDS: usize = 2;
-/// Times what a short fit promises still that one may come to with a longer one.
-pub(super) const PROMISED: f64 = 5.0;
 /// Rounds of a fit with another slow noise.
 const HEARD_ANEW: usize = 6;
 /// Deviations of its prior that a number of the model is from where it was given when it makes up for something; and the share of
@@ -252,8 +250,11 @@ impl Searcher<'_> {
         let with = |start: &EffectSpec| candidates::beside(spec, start);
         let mut first: Vec<(f64, ModelSpec)> = Vec::new();
         if let Some(tangent) = measured.tangent(spec, &from.refit.numbers, laid) {
-            let starts: Vec<EffectSpec> =
+            let mut starts: Vec<EffectSpec> =
                 effects.iter().flat_map(|e| candidates::starts(e, scales)).collect();
+            if measured.is_forced() {
+                starts.extend(effects.iter().flat_map(|e| candidates::starts_elsewhere(e, scales)));
+            }
             let fainter = |start: &EffectSpec, factor: f64| candidates::fainter(start, factor, scales);
             let told = to_first_order(&tangent, &starts, with, fainter, |told| {
                 first_of_each(told, |effect| AGAIN * fitted_starts(effect), |(start, _)| Some(start));
@@ -300,17 +301,17 @@ impl Searcher<'_> {
         let mut starts: Vec<ModelSpec> = first.into_iter().map(|(_, spec)| spec).collect();
         starts.extend(by_force.iter().map(|(_, refit)| refit.spec.clone()));
         let long = Settings { iterations: 30, ..Settings::default() };
-        let fit = |measured: &Measured<'_>, start: &ModelSpec, settings: Settings| {
+        let fit = |measured: &Measured<'_>, start: &ModelSpec, settings: Settings, beyond: f64| {
             let mut numbers = from.refit.numbers.clone();
             numbers.add_effect(start, start.effects.len() - 1, scales);
             numbers.start_from(start);
-            let laid = measured.fit(start, &numbers, from.refit.zero_m, None, settings)?;
+            let laid = measured.fit_up_to(start, &numbers, (from.refit.zero_m, None), settings, beyond)?;
             let mut spec = start.clone();
             numbers.put(&laid.values, &mut spec).then_some((spec, numbers, laid))
         };
         let some = measured.every(HALF);
         let mut tried: Vec<_> =
-            parallel::map(&starts, parallel::cores(), |start| fit(&some, start, SORTED_OUT))
+            parallel::map(&starts, parallel::cores(), |start| fit(&some, start, SORTED_OUT, f64::INFINITY))
                 .into_iter()
                 .flatten()
                 .collect();
@@ -332,19 +333,24 @@ impl Searcher<'_> {
         }
         tried.truncate(near.max(hopeful.clamp(REFUSED, REFINED)));
         // Each step's start anew: what the model before had there holds the gap where it was.
-        let arrived = |(spec, _, short): &(ModelSpec, Numbers, Laid)| {
+        let arrived = |(spec, _, short): &(ModelSpec, Numbers, Laid), beyond: f64| {
             // One that is a good way behind and promises no more does not catch up either.
             let settled = behind(short) - PROMISED * 0.5 * HALF as f64 * short.promised();
             let hopeless = behind(short) > HOPELESS || settled > 0.5 * HOPELESS;
             let rounds = if hopeless { FEW_ROUNDS } else { long.iterations };
-            let (spec, numbers, laid) = fit(measured, spec, Settings { iterations: rounds, ..long })?;
+            let (spec, numbers, laid) = fit(measured, spec, Settings { iterations: rounds, ..long }, beyond)?;
             let mut names = from.names.clone();
             names.push(spec.effects.last()?.name.clone());
             let refit = Refit { spec, ..from.refit.clone() };
             trial::judge_response(measured, &Trial { names, refit, ..from.clone() }, numbers, laid)
         };
+        // The best first: what is far behind that and promises no more is given up.
         let mut finalists: Vec<Trial> =
-            parallel::map(&tried, parallel::cores(), arrived).into_iter().flatten().collect();
+            tried.first().and_then(|first| arrived(first, f64::INFINITY)).into_iter().collect();
+        let beyond = finalists.first().map_or(f64::INFINITY, |best| best.total_behind(HOPELESS));
+        let rest = tried.get(1..).unwrap_or_default();
+        let rest = parallel::map(rest, parallel::cores(), |start| arrived(start, beyond));
+        finalists.extend(rest.into_iter().flatten());
         best_first(&mut finalists, from);
         // Nothing better need be looked for where the best brings nothing, of a long record or when no more was promised.
         let looked_for = !measured.is_long() && (best > CHANCE || far);
@@ -357,7 +363,9 @@ impl Searcher<'_> {
             finalists.iter().filter(near).any(|trial| verdict::last_name(trial) == name)
         };
         others.retain(|(spec, _, _)| spec.effects.last().is_some_and(|effect| near(&effect.name)));
-        finalists.extend(parallel::map(&others, parallel::cores(), arrived).into_iter().flatten());
+        let beyond = finalists.first().map_or(f64::INFINITY, |best| best.total_behind(NEARBY));
+        let others = parallel::map(&others, parallel::cores(), |start| arrived(start, beyond));
+        finalists.extend(others.into_iter().flatten());
         best_first(&mut finalists, from);
         if let Some(best) = finalists.first_mut() {
             self.go_on(measured, best);

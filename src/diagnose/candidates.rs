@@ -232,6 +232,22 @@ pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
     out
 }
 
+/// Loading and unloading shape of a hysteresis that grows stiffer as it is loaded, and its yield displacements over the motion.
+const STIFFENS: [(&str, f64); 2] = [("beta", 0.75), ("gamma", -1.0)];
+const YIELDS: [f64; 3] = [0.1, 0.3, 0.9];
+
+/// Starts of an effect that specimens of other rigs may have in a form that an elastomer has not: a Bouc-Wen hysteresis that grows stiffer
+/// as it is loaded (hardening; Ismail, Ikhouane and Rodellar, Arch. Comput. Methods Eng. 16 (2009) 161).
+pub fn starts_elsewhere(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
+    let stiffening = |yields: f64| {
+        let mut spec = effect.starting_spec(scales);
+        spec.parameters.insert("dy_m".to_owned(), yields * scales.displacement_m);
+        spec.parameters.extend(STIFFENS.map(|(name, value)| (name.to_owned(), value)));
+        spec
+    };
+    if effect.name == "bouc-wen-hysteresis" { YIELDS.map(stiffening).to_vec() } else { Vec::new() }
+}
+
 /// Leaves out what is shaped like one before it: how strong an effect is follows from first order.
 fn one_of_each_shape(starts: &mut Vec<EffectSpec>, parameters: &[Parameter], strength_follows: bool) {
     let shape = &parameters[usize::from(strength_follows && !parameters.is_empty())..];

@@ -3,13 +3,13 @@
 //! more than chance; a force that is really there brings one that is like it. The verdict "outside the catalogue" stands on it
 //! wherever a base record drives a simulation.
 
-use super::by_response::{PROMISED, to_first_order};
+use super::by_response::to_first_order;
 use super::search::Searcher;
 use super::trial::{self, Trial};
 use super::verdict::Thresholds;
 use super::{candidates, verdict};
 use crate::identify::least_squares::Settings;
-use crate::identify::response::{self, Laid};
+use crate::identify::response::{self, Laid, PROMISED};
 use crate::model::{EffectSpec, ModelSpec, Scales};
 
 /// The shape of a force that would bring most.

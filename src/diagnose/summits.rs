@@ -9,7 +9,7 @@ use crate::identify::least_squares::Settings;
 use crate::identify::refit::Refit;
 use crate::identify::response::Measured;
 use crate::model::effects::coulomb_friction::TURNING;
-use crate::model::{ModelSpec, Scales, effects};
+use crate::model::{EffectSpec, ModelSpec, Scales, effects};
 use crate::parallel;
 
 /// How the shape of an effect is fitted.
@@ -199,7 +199,9 @@ fn with_last(from: &Refit, spec: ModelSpec, scales: &Scales) -> Refit {
 /// A trial in which the shape of its last effect is fitted, too; none where it has none.
 fn with_shape(trial: &Trial, scales: &Scales) -> Option<Trial> {
     let shapes = candidates::shapes(&verdict::last_name(trial));
-    if shapes.is_empty() {
+    // One whose loading shape is fitted has its own already; sharper, it would grow without bounds.
+    let fitted = |last: &EffectSpec| last.parameters.contains_key("beta");
+    if shapes.is_empty() || trial.refit.spec.effects.last().is_some_and(fitted) {
         return None;
     }
     let mut spec = trial.refit.spec.clone();

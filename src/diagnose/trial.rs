@@ -177,6 +177,13 @@ impl Trial {
             .map_or(0.0, |response| 0.5 * response.excess().max(0.0) * response.count() as f64)
     }
 
+    /// What a fit of the response comes to that is so many nats behind on the steps of the fit; none where no response decides.
+    pub fn total_behind(&self, nats: f64) -> f64 {
+        let behind =
+            |response: &Response| response.training.total() + 2.0 * nats * response.colour().max(1.0);
+        self.response.as_ref().map_or(f64::INFINITY, behind)
+    }
+
     /// Standard deviation of the excess of a response that leaves nothing but white noise.
     pub fn chance(&self) -> f64 {
         (self.response.as_ref().map_or(0, Response::count).max(1) as f64).sqrt().recip()

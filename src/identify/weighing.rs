@@ -17,17 +17,18 @@ impl Problem<'_> {
         let counts = component::beside_jumps(motion);
         let shapes = self.shapes(spec, zero_m, around);
         self.carried = self.carried_m_s2(spec, &shapes);
-        let weight = |((n, (_, bend)), carried): ((usize, &(f64, f64)), &f64)| {
+        let weight = |n: usize, bend: f64, carried: f64| {
             if motion.velocity_m_s[n].abs() < slow || counts.get(n) == Some(&false) {
                 return 0.0;
             }
-            let sigma = motion.restoring_noise_m_s2.hypot(*carried).hypot(0.5 * bend);
+            let sigma = motion.restoring_noise_m_s2.hypot(carried).hypot(0.5 * bend);
             if sigma > 0.0 && sigma.is_finite() { 1.0 / sigma } else { 0.0 }
         };
-        let of_window = |((window, shape), carried): ((&Window, &Vec<(f64, f64)>), &Vec<f64>)| {
-            self.samples(window).zip(shape).zip(carried).map(weight).collect()
-        };
-        self.weights = motion.windows.iter().zip(&shapes).zip(&self.carried).map(of_window).collect();
+        self.weights.clear();
+        for ((window, shape), carried) in motion.windows.iter().zip(&shapes).zip(&self.carried) {
+            let samples = self.samples(window).zip(shape).zip(carried);
+            self.weights.push(samples.map(|((n, (_, bend)), carried)| weight(n, *bend, *carried)).collect());
+        }
         let slopes = |shape: Vec<(f64, f64)>| shape.into_iter().map(|(slope, _)| slope).collect();
         self.slopes = shapes.into_iter().map(slopes).collect();
     }

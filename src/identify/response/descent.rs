@@ -16,6 +16,8 @@ use std::sync::Arc;
 
 /// A fall of the cost that is not worth another step: as far from the least, a fit is 0.14 deviations off.
 const SETTLED: f64 = 0.02;
+/// Times what a fit promises still that it may come to.
+pub const PROMISED: f64 = 5.0;
 /// Share of the cost above which the slopes along the nuisances are kept.
 const LITTLE: f64 = 0.98;
 /// Steps that are taken with the slopes of an earlier one.
@@ -42,6 +44,18 @@ impl<'a> Measured<'a> {
         from: Option<&Laid>,
         settings: Settings,
     ) -> Option<Laid> {
+        self.fit_up_to(start, numbers, (zero_m, from), settings, f64::INFINITY)
+    }
+
+    /// The same, given up as soon as it is not going to come below such a total, whatever it promises.
+    pub fn fit_up_to(
+        &self,
+        start: &ModelSpec,
+        numbers: &Numbers,
+        (zero_m, from): (f64, Option<&Laid>),
+        settings: Settings,
+        beyond: f64,
+    ) -> Option<Laid> {
         let free = self.free(numbers, zero_m);
         let mut values: Vec<f64> = free.iter().map(|f| f.start.clamp(f.bounds.0, f.bounds.1)).collect();
         let mut nuisances = self.still(Part::Training);
@@ -52,12 +66,13 @@ impl<'a> Measured<'a> {
         }
         // Where the solver is exact there are no coarse slopes.
         let fine = is_piecewise_linear(start);
-        let laid = self.descend(Fitted::new(start, numbers, &free, fine), values, nuisances, settings)?;
+        let fitted = || Fitted { beyond, ..Fitted::new(start, numbers, &free, fine) };
+        let laid = self.descend(fitted(), values, nuisances, settings)?;
         if settings.iterations <= SORTING {
             return Some(laid);
         }
         let Some(nuisances) = self.better_starts(start, numbers, &laid) else { return Some(laid) };
-        self.descend(Fitted::new(start, numbers, &free, fine), laid.values, nuisances, settings)
+        self.descend(fitted(), laid.values, nuisances, settings)
     }
 
     fn descend(
@@ -81,13 +96,20 @@ impl<'a> Measured<'a> {
         let mut behind: Option<(Vec<f64>, Vec<Nuisances>)> = None;
         while rounds < settings.iterations {
             let Some((moved, own)) = system.step(free, &at.values, &at.nuisances, damping) else { break };
-            if chords == 0 && system.promises(free, &at.values, &moved) < SETTLED {
-                if !coarse(&fitted) {
+            if chords == 0 {
+                let promised = system.promises(free, &at.values, &moved);
+                // One that is far behind and promises no more does not catch up.
+                if damping <= UNDAMPED && at.total - PROMISED * promised > fitted.beyond {
                     break;
                 }
-                (fitted.fine, damping) = (true, UNDAMPED);
-                system = self.slopes(&mut fitted, &at, Some(system))?;
-                continue;
+                if promised < SETTLED {
+                    if !coarse(&fitted) {
+                        break;
+                    }
+                    (fitted.fine, damping) = (true, UNDAMPED);
+                    system = self.slopes(&mut fitted, &at, Some(system))?;
+                    continue;
+                }
             }
             let before = at.total;
             match self.at(&fitted, moved, own).filter(|to| to.total < before) {
@@ -359,13 +381,23 @@ pub(super) struct Fitted<'b> {
     pub(super) moving: bool,
     /// Slopes along the numbers as good as they are to be had.
     pub(super) fine: bool,
+    /// Total beyond which it is given up.
+    pub(super) beyond: f64,
     /// Standard deviation of each value as far as it is known; none before the first slopes.
     pub(super) deviations: Vec<f64>,
 }
 
 impl<'b> Fitted<'b> {
     pub(super) fn new(spec: &ModelSpec, numbers: &'b Numbers, free: &'b [Free], fine: bool) -> Self {
-        Self { spec: spec.clone(), numbers, free, moving: true, fine, deviations: Vec::new() }
+        Self {
+            spec: spec.clone(),
+            numbers,
+            free,
+            moving: true,
+            fine,
+            beyond: f64::INFINITY,
+            deviations: Vec::new(),
+        }
     }
 }
 

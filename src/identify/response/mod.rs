@@ -21,6 +21,7 @@ mod tangent;
 #[cfg(test)]
 mod tests;
 
+pub use descent::PROMISED;
 pub use left::Left;
 pub use tangent::{Score, Tangent};
 
