@@ -347,14 +347,18 @@ fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(
     let passed: Vec<&Trial> =
         finalists.iter().filter(|trial| brings_together(trial, from, thresholds) && stands(trial)).collect();
     let best = passed.iter().copied().reduce(better)?;
-    let within = |nats: f64| passed.iter().filter(move |trial| apart(best, trial) < nats);
-    let equals: Vec<&&Trial> = within(0.5 * thresholds.tie).collect();
+    let near = |trial: &&Trial, nats: f64| apart(best, trial) < nats;
+    let equals: Vec<&Trial> =
+        passed.iter().copied().filter(|trial| near(trial, 0.5 * thresholds.tie)).collect();
     let is_simpler = |a: &Trial, b: &Trial| contained_in(&own_name(b, a)).contains(&own_name(a, b).as_str());
     let chosen = equals
         .iter()
         .find(|a| equals.iter().all(|b| !is_simpler(b, a)) && equals.iter().any(|b| is_simpler(a, b)))
-        .map_or(best, |a| **a);
-    let rivals = within(thresholds.tie)
+        .map_or(best, |a| a);
+    // Once something is missing, what brings a little less than was asked of it is a rival as well.
+    let rivals = finalists
+        .iter()
+        .filter(|trial| near(trial, thresholds.tie) && apart(trial, from) > 0.0 && stands(trial))
         .filter(|trial| own_name(trial, chosen) != own_name(chosen, trial))
         .map(|trial| own_name(trial, chosen))
         .collect();
