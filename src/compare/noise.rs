@@ -9,7 +9,7 @@
 use super::band::Band;
 use super::window::{Window, windows};
 use crate::record::{Kind, Record};
-use crate::signal::{Spectrum, TAPERED};
+use crate::signal::Spectrum;
 
 /// Samples that are looked at for white noise.
 const PIECE: usize = 1 << 17;
@@ -86,7 +86,7 @@ fn white(channel: &[f64], rate: f64) -> f64 {
     else {
         return 0.0;
     };
-    Spectrum::tapered(piece, rate).white_noise_rms(0.4, 0.9) / TAPERED.sqrt()
+    Spectrum::tapered(piece, rate).white_noise_rms(0.4, 0.9)
 }
 
 /// RMS of what does not repeat from one counted cycle to the next: the median over the steps, so that

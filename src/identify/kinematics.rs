@@ -10,7 +10,7 @@ use super::least_squares::{self, Free, Settings, dot};
 use crate::model::elementary::sin_cos;
 use crate::parallel;
 use crate::record::Record;
-use crate::signal::{Spectrum, TAPERED};
+use crate::signal::Spectrum;
 use nalgebra::{Matrix2, Matrix4, Vector4};
 use realfft::num_complex::Complex64;
 
@@ -156,7 +156,7 @@ pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
 
 /// White noise of a channel, rms, from its tapered spectrum.
 fn noise_under_taper(tapered: &Spectrum) -> f64 {
-    tapered.white_noise_rms(0.5, 0.9) / TAPERED.sqrt()
+    tapered.white_noise_rms(0.5, 0.9)
 }
 
 /// The band in which the relation is tested, and the samples far enough from the ends.

@@ -1,6 +1,6 @@
 //! Noise of a channel from its spectrum, and what a solver that joins samples by straight lines is to be given.
 
-use crate::signal::{Spectrum, TAPERED};
+use crate::signal::Spectrum;
 use realfft::num_complex::Complex64;
 
 /// Samples of a stretch of [`stretches_noise_rms`], and stretches at most.
@@ -41,7 +41,7 @@ pub fn stretches_noise_rms(channel: &[f64], sample_rate_hz: f64) -> f64 {
     let (length, every, _) = stretches(channel.len());
     let parts_of = |stretch: &[f64]| {
         let spectrum = Spectrum::tapered(stretch, sample_rate_hz);
-        PARTS_OF_BAND.map(|(low, high)| spectrum.white_noise_rms(low, high) / TAPERED.sqrt())
+        PARTS_OF_BAND.map(|(low, high)| spectrum.white_noise_rms(low, high))
     };
     let stretches = channel.windows(length.max(1)).step_by((length / 2).max(1)).step_by(every);
     let told: Vec<_> = stretches.map(parts_of).collect();

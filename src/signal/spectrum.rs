@@ -19,6 +19,8 @@ pub struct Spectrum {
     padding: usize,
     length: usize,
     sample_rate_hz: f64,
+    /// Mean square of the window it is seen under.
+    window: f64,
 }
 
 impl Spectrum {
@@ -69,7 +71,7 @@ impl Spectrum {
         let mean = channel.iter().sum::<f64>() / samples.max(1) as f64;
         let mut tapered: Vec<f64> = channel.iter().zip(hann(samples)).map(|(x, w)| (x - mean) * w).collect();
         tapered.resize(fast_length(samples), 0.0);
-        Self::of_extended(tapered, samples, 0, sample_rate_hz)
+        Self { window: TAPERED, ..Self::of_extended(tapered, samples, 0, sample_rate_hz) }
     }
 
     fn of_extended(mut extended: Vec<f64>, samples: usize, padding: usize, sample_rate_hz: f64) -> Self {
@@ -78,7 +80,7 @@ impl Spectrum {
         let mut bins = plan.make_output_vec();
         // The lengths match by construction, so the transform cannot refuse.
         let _ = plan.process(&mut extended, &mut bins);
-        Self { bins, samples, padding, length, sample_rate_hz }
+        Self { bins, samples, padding, length, sample_rate_hz, window: 1.0 }
     }
 
     /// Number of samples of the channel.
@@ -147,7 +149,7 @@ impl Spectrum {
         let (_, median, _) = power.select_nth_unstable_by(middle, f64::total_cmp);
         // |X|^2 of white noise is exponential with mean N sigma^2, and its median is ln 2 of the mean.
         let noisy = self.samples + 2 * self.padding;
-        (*median / std::f64::consts::LN_2 / noisy as f64).sqrt()
+        (*median / std::f64::consts::LN_2 / noisy as f64).sqrt() / self.window.sqrt()
     }
 }
 
@@ -199,7 +201,7 @@ mod tests {
         let x: Vec<f64> = (0..40_000).map(|i| (i as f64 * 0.01).sin() + normal.sample(&mut random)).collect();
         let rms = Spectrum::of(&x, 2048.0).white_noise_rms(0.3, 0.9);
         assert!((rms / 0.02 - 1.0).abs() < 0.05, "{rms}");
-        let tapered = Spectrum::tapered(&x, 2048.0).white_noise_rms(0.3, 0.9) / TAPERED.sqrt();
+        let tapered = Spectrum::tapered(&x, 2048.0).white_noise_rms(0.3, 0.9);
         assert!((tapered / 0.02 - 1.0).abs() < 0.05, "{tapered}");
     }
 }

@@ -19,7 +19,7 @@ const SETTLED: f64 = 0.02;
 /// Times what a fit promises still that it may come to.
 pub const PROMISED: f64 = 5.0;
 /// Share of the cost above which the slopes along the nuisances are kept.
-const LITTLE: f64 = 0.98;
+pub(super) const LITTLE: f64 = 0.98;
 /// Steps that are taken with the slopes of an earlier one.
 const CHORDS: usize = 3;
 /// A fit of so few rounds sorts out: its slopes need not be better than its steps.
@@ -398,6 +398,11 @@ impl<'b> Fitted<'b> {
             beyond: f64::INFINITY,
             deviations: Vec::new(),
         }
+    }
+
+    /// A fitted model whose numbers stay: what belongs to the steps alone moves.
+    pub(super) fn at_rest(spec: &ModelSpec, numbers: &'b Numbers, free: &'b [Free]) -> Self {
+        Self { moving: false, ..Self::new(spec, numbers, free, true) }
     }
 }
 

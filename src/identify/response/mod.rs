@@ -391,7 +391,8 @@ impl<'a> Measured<'a> {
         out
     }
 
-    /// Lays values against the steps of a part; `None` when the model cannot be built or leaves the finite numbers.
+    /// Lays values against the steps of a part: the cost and the steps; `None` when the model cannot be built or leaves the finite
+    /// numbers.
     fn lay(
         &self,
         spec: &ModelSpec,
@@ -399,15 +400,26 @@ impl<'a> Measured<'a> {
         values: &[f64],
         nuisances: &[Nuisances],
     ) -> Option<(f64, Vec<Step<'a>>)> {
+        let laid = self.lay_each(spec, part, values, nuisances)?;
+        let cost = laid.iter().map(|(of_step, _)| of_step).sum();
+        Some((cost, laid.into_iter().map(|(_, step)| step).collect()))
+    }
+
+    /// The same, each step with its share of the cost.
+    fn lay_each(
+        &self,
+        spec: &ModelSpec,
+        part: Part,
+        values: &[f64],
+        nuisances: &[Nuisances],
+    ) -> Option<Vec<(f64, Step<'a>)>> {
         let each: Vec<(&usize, &Nuisances)> = self.windows(part).iter().zip(nuisances).collect();
-        let laid = parallel::map_with(
+        parallel::map_with(
             &each,
             |(k, _)| self.motion.windows[**k].range.len(),
             || self.specimens(spec),
             |specimens, (k, own)| self.lay_one(specimens, **k, values, own),
-        )?;
-        let cost = laid.iter().map(|(of_step, _)| of_step).sum();
-        Some((cost, laid.into_iter().map(|(_, step)| step).collect()))
+        )
     }
 
     /// One step's share of the cost, and the step.

@@ -2,7 +2,7 @@
 //! those of training whose start is hardly known when a fit has ended.
 
 use super::columns::Job;
-use super::descent::Fitted;
+use super::descent::{Fitted, LITTLE};
 use super::{Laid, Measured, Nuisances, Step};
 use crate::identify::least_squares::{dot, gram};
 use crate::identify::numbers::Numbers;
@@ -16,8 +16,7 @@ use std::sync::Arc;
 const TRIED: usize = 40;
 /// A fall of a step's cost that is not worth a simulation.
 const SETTLED: f64 = 2e-3;
-/// Share of the cost above which slopes hold on, and share of what they promise below which they do not.
-const LITTLE: f64 = 0.98;
+/// Share of what slopes promise below which they do not hold on.
 const SLOW: f64 = 0.25;
 /// Damping where a step led up, and the one beyond which none leads down.
 const DAMPED: f64 = 1e-2;
@@ -41,11 +40,12 @@ impl Measured<'_> {
         let mut spec = spec.clone();
         numbers.put(&laid.values, &mut spec).then_some(())?;
         let free = self.free(numbers, 0.0);
-        let fitted = Fitted { moving: false, ..Fitted::new(&spec, numbers, &free, true) };
+        let fitted = Fitted::at_rest(&spec, numbers, &free);
         let windows = self.windows(Part::HeldOut);
         let starts: Vec<(usize, Nuisances)> =
             windows.iter().copied().zip(self.still(Part::HeldOut)).collect();
-        let mut settled = self.settled(&fitted, &laid.values, &starts, |settled| settled)?;
+        let settled = self.settled(&fitted, &laid.values, &starts)?;
+        let mut settled = settled.into_iter().collect::<Option<Vec<Settled>>>()?;
         self.elsewhere(&fitted, &laid.values, windows, &mut settled)?;
         Some(Laid {
             values: laid.values.clone(),
@@ -71,36 +71,30 @@ impl Measured<'_> {
         let mut spec = spec.clone();
         numbers.put(&laid.values, &mut spec).then_some(())?;
         let free = self.free(numbers, 0.0);
-        let fitted = Fitted { moving: false, ..Fitted::new(&spec, numbers, &free, true) };
+        let fitted = Fitted::at_rest(&spec, numbers, &free);
+        let each = self.lay_each(&spec, Part::Training, &laid.values, &laid.nuisances)?;
+        let ended = each.into_iter().zip(&laid.nuisances);
+        let mut settled: Vec<Settled> =
+            ended.map(|((cost, _), own)| Settled { cost, own: own.clone() }).collect();
         let windows = self.windows(Part::Training);
-        let starts: Vec<(usize, &Nuisances)> = windows.iter().copied().zip(&laid.nuisances).collect();
-        let mut settled = parallel::map_with(
-            &starts,
-            |(k, _)| self.motion.windows[*k].range.len(),
-            || self.specimens(&spec),
-            |specimens, (k, own)| {
-                let (cost, _) = self.lay_one(specimens, *k, &laid.values, own)?;
-                Some(Settled { cost, own: own.to_vec() })
-            },
-        )?;
         let found = self.elsewhere(&fitted, &laid.values, windows, &mut settled)?;
         found.then(|| settled.into_iter().map(|of| of.own).collect())
     }
 
-    /// Steps settled from so many starts, each the number of its window and what belongs to it there.
-    fn settled<T: Send>(
+    /// Steps settled from so many starts, each the number of its window and what belongs to it there; none of one that leaves the finite
+    /// numbers.
+    fn settled(
         &self,
         fitted: &Fitted<'_>,
         values: &[f64],
         starts: &[(usize, Nuisances)],
-        then: impl Fn(Option<Settled>) -> Option<T> + Sync,
-    ) -> Option<Vec<T>> {
+    ) -> Option<Vec<Option<Settled>>> {
         let length = |(k, _): &(usize, Nuisances)| self.motion.windows[*k].range.len();
         parallel::map_with(
             starts,
             length,
             || self.job(fitted, values),
-            |job, (k, own)| then(self.settle(job, *k, own.clone())),
+            |job, (k, own)| Some(self.settle(job, *k, own.clone())),
         )
     }
 
@@ -131,8 +125,7 @@ impl Measured<'_> {
                 own.iter_mut().zip(&sigmas).zip(deviations).for_each(|((x, sigma), by)| *x = by * sigma);
                 (windows[i], own)
             };
-            // One that leaves the finite numbers is no better.
-            let tried = self.settled(fitted, values, &OTHER_STARTS.map(start), Some)?;
+            let tried = self.settled(fitted, values, &OTHER_STARTS.map(start))?;
             for other in tried.into_iter().flatten() {
                 if other.cost < settled[i].cost - BETTER {
                     (settled[i], found) = (other, true);

@@ -126,7 +126,7 @@ impl Measured<'_> {
         for (part, laid) in laid {
             let Some((_, steps)) = self.lay(spec, part, &laid.values, &laid.nuisances) else { return false };
             let free = self.free(numbers, 0.0);
-            let fitted = Fitted { moving: false, ..Fitted::new(spec, numbers, &free, true) };
+            let fitted = Fitted::at_rest(spec, numbers, &free);
             let every = steps.len().div_ceil(STEPS).max(1);
             let each: Vec<usize> = (0..steps.len()).step_by(every).collect();
             let profiles = parallel::map_with(
