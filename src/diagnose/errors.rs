@@ -38,10 +38,10 @@ impl Searcher<'_> {
         Some(error.nrmse() / error.noise_floor(self.motion))
     }
 
-    /// The motion with less noise, where what a trial leaves of a force record is clearly less than was taken for noise: a force or its
-    /// harmonics that fill the upper band look like it.
+    /// The motion with less noise, where what a trial leaves of the response is clearly less than was taken for noise: a force, or
+    /// the harmonics and jumps of a response, that fill the upper band look like it.
     pub fn quieter(&self, trial: &Trial) -> Option<Motion> {
-        if self.motion.kind != Kind::Force || trial.response.is_none() {
+        if self.motion.kind == Kind::Component || trial.response.is_none() {
             return None;
         }
         let all = self.errors(trial)?.iter().fold(OutputError::default(), |sum, (_, error)| sum.with(error));

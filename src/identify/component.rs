@@ -1,7 +1,8 @@
 //! Records of a component: a motion is imposed on it, the force that takes is measured.
 
 use super::fused::differentiate;
-use super::motion::{Motion, MotionError, channel, noise_of_sensor};
+use super::motion::{Motion, MotionError, channel};
+use super::spectral::noise_of_sensor;
 use super::response::beside_jumps_of_few_samples;
 use crate::model::ModelSpec;
 use crate::record::{Kind, Record};

@@ -7,6 +7,7 @@
 //! told from the laser's.
 
 use super::least_squares::{self, Free, Settings, dot};
+use super::spectral::noise_of_whole;
 use crate::model::elementary::sin_cos;
 use crate::parallel;
 use crate::record::Record;
@@ -76,7 +77,7 @@ impl Instruments {
     /// Unit gains and no delays, with the noise of the record: where it is too short to tell more.
     pub fn assumed_sound(record: &Record) -> Self {
         let rate = record.sample_rate_hz;
-        let noise = |channel: &[f64]| noise_under_taper(&Spectrum::tapered(channel, rate));
+        let noise = |channel: &[f64]| noise_of_whole(channel, &Spectrum::tapered(channel, rate));
         let sound = |channel: &[f64]| Accelerometer {
             gain: Estimate { value: 1.0, sigma: 0.0 },
             noise_m_s2: noise(channel),
@@ -127,14 +128,14 @@ pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
     ];
     let seen = parallel::map(&channels, parallel::cores(), |channel| {
         let tapered = Spectrum::tapered(channel, rate);
-        (Spectrum::of(channel, rate), noise_under_taper(&tapered), tapered)
+        (Spectrum::of(channel, rate), noise_of_whole(channel, &tapered), tapered)
     });
     let [(laser, laser_noise_m, tapered_laser), (table, table_noise_m_s2, _), one, two] =
         seen.try_into().ok()?;
     // The jumps of impacts and friction are in both accelerometers alike, their noise is not.
     let apart: Vec<f64> =
         record.mass_acceleration_1_m_s2.iter().zip(second).map(|(one, two)| one - two).collect();
-    let (both, apart) = (one.1.hypot(two.1), noise_under_taper(&Spectrum::tapered(&apart, rate)));
+    let (both, apart) = (one.1.hypot(two.1), noise_of_whole(&apart, &Spectrum::tapered(&apart, rate)));
     // Channels that are the same come from one sensor.
     let own = if apart > LEAST * both { (apart / both).min(1.0) } else { 1.0 };
     let mass_noise_m_s2 = [one.1, two.1].map(|noise| own * noise);
@@ -152,11 +153,6 @@ pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
     let rms = relations.iter().map(Relation::rms).fold(0.0, f64::max);
     found.misfit = rms / band.expected_rms(&laser).max(1e-300);
     Some(found)
-}
-
-/// White noise of a channel, rms, from its tapered spectrum.
-fn noise_under_taper(tapered: &Spectrum) -> f64 {
-    tapered.white_noise_rms(0.5, 0.9)
 }
 
 /// The band in which the relation is tested, and the samples far enough from the ends.

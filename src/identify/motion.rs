@@ -9,12 +9,11 @@
 use super::component;
 use super::fused::{differentiate, fuse, integrate};
 use super::kinematics::{self, Accelerometer, Instruments, Tolerances};
-use super::spectral::{along_straight_lines, held_1_s2, stretches_noise_rms};
+use super::spectral::{along_straight_lines, held_1_s2, noise_of_sensor};
 use super::table::Table;
 use super::together::Source;
 use super::windows;
 use crate::model::ModelSpec;
-use crate::record::quality::quantum;
 use crate::record::{Kind, Record};
 use crate::signal::Spectrum;
 use realfft::num_complex::Complex64;
@@ -189,6 +188,12 @@ impl Motion {
         };
         motion.mass_kg = mass_kg;
         motion.windows = windows::cut(record, &motion, farthest);
+        if motion.kind == Kind::Base && motion.windows.iter().any(|window| window.random) {
+            let rate = motion.sample_rate_hz;
+            let over_mass: Vec<f64> = motion.drive_m_s2.iter().map(|table| -table).collect();
+            let held = held_1_s2(&over_mass, &motion.displacement_m, rate);
+            motion.drive_m_s2 = along_straight_lines(&motion.drive_m_s2, rate, held);
+        }
         if motion.is_coarse() {
             let solver = COARSE * motion.restoring_rms_m_s2();
             motion.restoring_noise_m_s2 = motion.restoring_noise_m_s2.hypot(solver);
@@ -393,12 +398,6 @@ fn base(record: &Record, found: Option<Instruments>) -> Result<Motion, MotionErr
         instruments: found,
         ..fused.motion(record)
     })
-}
-
-/// Noise of a channel from stretches of it. A converter's steps are noise, too, of which a mass at rest shows nothing.
-pub(super) fn noise_of_sensor(x: &[f64], rate: f64) -> f64 {
-    let (low, high) = x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
-    stretches_noise_rms(x, rate).max(FINEST * rms(x)).max(quantum(x, high - low) / 12f64.sqrt())
 }
 
 fn forced(record: &Record, mass_kg: f64) -> Result<Motion, MotionError> {

@@ -1,5 +1,7 @@
 //! Noise of a channel from its spectrum, and what a solver that joins samples by straight lines is to be given.
 
+use super::motion::FINEST;
+use crate::record::quality::quantum;
 use crate::signal::Spectrum;
 use realfft::num_complex::Complex64;
 
@@ -53,6 +55,24 @@ pub fn stretches_noise_rms(channel: &[f64], sample_rate_hz: f64) -> f64 {
     });
     parts.sort_by(f64::total_cmp);
     parts[1] / (1.0 + SECOND_OF_FIVE[0] * part_sigma(channel.len())).max(0.5)
+}
+
+/// Noise of a channel from stretches of it. A converter's steps are noise, too, of which a mass at rest shows nothing.
+pub fn noise_of_sensor(x: &[f64], sample_rate_hz: f64) -> f64 {
+    let (low, high) = x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
+    let rms = (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt();
+    stretches_noise_rms(x, sample_rate_hz).max(FINEST * rms).max(quantum(x, high - low) / 12f64.sqrt())
+}
+
+/// Stretches that show less than this share of what the whole channel does tell its noise: the rest is not noise.
+const CLEARLY_LESS: f64 = 0.8;
+
+/// Noise of a channel from all of it, by its tapered spectrum; from stretches where those show clearly less, as where a mass hits
+/// stops during a part of a sweep only.
+pub fn noise_of_whole(x: &[f64], tapered: &Spectrum) -> f64 {
+    let whole = tapered.white_noise_rms(0.5, 0.9);
+    let stretches = noise_of_sensor(x, tapered.sample_rate_hz());
+    if stretches < CLEARLY_LESS * whole { stretches } else { whole }
 }
 
 /// Stiffness over mass (1/s2) that a force over the mass and the displacement that it makes show together.

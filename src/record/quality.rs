@@ -92,6 +92,16 @@ pub fn examine(record: &Record) -> Vec<Finding> {
     for (role, values) in record.channels().filter(|(role, _)| *role != Role::Time) {
         let range = span(values);
         match constant(role, range) {
+            // A mass that is let go needs nothing that drives it.
+            Some(_) if std::ptr::eq(values, record.input()) && dies_out(response(record)) => {
+                findings.push(Finding::new(
+                    Severity::Notice,
+                    Problem::Constant,
+                    Some(role),
+                    format!("{} is constant: taken as a free decay", role.name()),
+                    range.0,
+                ));
+            }
             Some(finding) => findings.push(finding),
             None => {
                 findings.extend(saturated(record, role, values, range));
@@ -100,7 +110,9 @@ pub fn examine(record: &Record) -> Vec<Finding> {
         }
     }
     // A channel that says nothing has no sign or unit.
-    if has_length && findings.iter().all(|finding| finding.problem != Problem::Constant) {
+    let silent =
+        |finding: &Finding| finding.problem == Problem::Constant && finding.severity == Severity::Error;
+    if has_length && !findings.iter().any(silent) {
         findings.extend(kinematic::examine(record));
         findings.extend(unsteady(record));
     }
@@ -122,11 +134,16 @@ fn too_short(record: &Record) -> Option<Finding> {
     if samples < FEWEST_SAMPLES {
         return error(format!("{samples} samples are too few ({FEWEST_SAMPLES} at least)"), samples as f64);
     }
-    let cycles = cycles(record.input());
-    if cycles < FEWEST_CYCLES {
+    let input = record.input();
+    // What hits a mass or lets it go is over before the mass has answered.
+    let mut seen = cycles(input);
+    if seen < FEWEST_CYCLES && rests(input) {
+        seen = seen.max(cycles(response(record)));
+    }
+    if seen < FEWEST_CYCLES {
         let seconds = samples as f64 / record.sample_rate_hz;
-        let text = format!("{seconds:.3} s hold {cycles:.1} cycles of the input ({FEWEST_CYCLES} at least)");
-        return error(text, cycles);
+        let text = format!("{seconds:.3} s hold {seen:.1} cycles of the input ({FEWEST_CYCLES} at least)");
+        return error(text, seen);
     }
     None
 }
@@ -148,6 +165,52 @@ fn cycles(input: &[f64]) -> f64 {
         }
     }
     0.5 * f64::from(halves)
+}
+
+/// What answers the input.
+fn response(record: &Record) -> &[f64] {
+    match record.kind {
+        Kind::Base if !record.relative_displacement_m.is_empty() => &record.relative_displacement_m,
+        Kind::Base => &record.mass_acceleration_1_m_s2,
+        Kind::Force if !record.displacement_m.is_empty() => &record.displacement_m,
+        Kind::Force => &record.acceleration_m_s2,
+        Kind::Component => &record.force_n,
+    }
+}
+
+/// Share of its range within which an input rests, and of the samples at which it does.
+const AT_REST: f64 = 0.05;
+const MOSTLY: f64 = 0.5;
+
+/// Whether an input is at rest most of the time, as blows of a hammer are.
+fn rests(input: &[f64]) -> bool {
+    let (low, high) = span(input);
+    let mut sorted = input.to_vec();
+    let middle = sorted.len() / 2;
+    if sorted.is_empty() {
+        return false;
+    }
+    let median = *sorted.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let still = input.iter().filter(|x| (**x - median).abs() <= AT_REST * (high - low)).count();
+    still as f64 > MOSTLY * input.len() as f64
+}
+
+/// Parts in which a motion is looked at, and what the last of them has of the first one's power at most.
+const PARTS: usize = 5;
+const DIED_OUT: f64 = 0.25;
+
+/// Whether a motion dies out, as nothing driven does.
+fn dies_out(motion: &[f64]) -> bool {
+    let power = |part: &[f64]| {
+        let mean = part.iter().sum::<f64>() / part.len().max(1) as f64;
+        part.iter().map(|x| (x - mean).powi(2)).sum::<f64>()
+    };
+    let powers: Vec<f64> = motion.chunks_exact((motion.len() / PARTS).max(1)).map(power).collect();
+    let ends = powers.first().zip(powers.last());
+    // Noise is all that is left at the end.
+    let floor = ends.map_or(0.0, |(first, _)| 0.01 * first);
+    let falls = powers.windows(2).all(|two| two[1] <= two[0].max(floor));
+    falls && ends.is_some_and(|(first, last)| *last < DIED_OUT * first)
 }
 
 /// Smallest and largest value, by lanes that do not wait for each other.
@@ -314,13 +377,7 @@ fn stuck(record: &Record, role: Role, values: &[f64], (bottom, top): (f64, f64))
 /// Steps too short or still growing: most of them have fewer than three cycles, or their last two cycles
 /// differ by more than a tenth in the size of the response.
 fn unsteady(record: &Record) -> Option<Finding> {
-    let response: &[f64] = match record.kind {
-        Kind::Base if !record.relative_displacement_m.is_empty() => &record.relative_displacement_m,
-        Kind::Base => &record.mass_acceleration_1_m_s2,
-        Kind::Force if !record.displacement_m.is_empty() => &record.displacement_m,
-        Kind::Force => &record.acceleration_m_s2,
-        Kind::Component => &record.force_n,
-    };
+    let response = response(record);
     let steps = record.step_ranges();
     let judged = steps.iter().filter_map(|(_, range)| {
         let window = range.clone();

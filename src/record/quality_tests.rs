@@ -214,3 +214,43 @@ fn the_measured_damper_raises_nothing() {
         assert_eq!(examine(&record), [], "{}", path.display());
     }
 }
+
+/// A mass of 1 kg at 5 Hz: 20 s at 500 Hz, swings from `start_m` on, forced as told, seen by displacement and force.
+fn swinging(start_m: f64, force_n: impl Fn(f64) -> f64) -> Record {
+    let (rate, fine) = (500.0, 20);
+    let mut record = Record::empty("made", Kind::Force, rate);
+    let (k, c, dt) = ((TAU * 5.0).powi(2), 0.6, 1.0 / rate / fine as f64);
+    let (mut d, mut v) = (start_m, 0.0);
+    for i in 0..10_000 * fine {
+        let t = i as f64 * dt;
+        if i % fine == 0 {
+            record.time_s.push(t);
+            record.displacement_m.push(d);
+            record.force_n.push(force_n(t));
+        }
+        v += dt * (force_n(t) - k * d - c * v);
+        d += dt * v;
+    }
+    record
+}
+
+#[test]
+fn what_is_struck_or_let_go_swings_long_after() {
+    // Blows of a hammer, 10 ms long, every 4 s; one alone.
+    let blow = |t: f64| if t < 0.01 { 50.0 * (t * TAU / 0.02).sin() } else { 0.0 };
+    assert_eq!(named(&swinging(0.0, |t| blow(t % 4.0))), []);
+    assert_eq!(named(&swinging(0.0, |t| blow(t))), []);
+    // Let go, and nothing after.
+    let findings = examine(&swinging(0.02, |_| 0.0));
+    let [finding] = findings.as_slice() else { panic!("{findings:?}") };
+    assert_eq!((finding.problem, finding.severity), (Problem::Constant, Severity::Notice));
+    // A force sensor that says nothing of what drives the mass is as bad as ever, and so is a mass that hardly swings.
+    let mut silent = swinging(0.0, |t| (TAU * 3.0 * t).sin());
+    silent.force_n.fill(0.0);
+    assert!(examine(&silent).iter().any(|f| f.severity == Severity::Error));
+    let mut short = swinging(0.0, blow);
+    short.time_s.truncate(200);
+    short.displacement_m.truncate(200);
+    short.force_n.truncate(200);
+    assert_eq!(named(&short), [(Problem::TooShort, None)]);
+}
