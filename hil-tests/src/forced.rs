@@ -32,19 +32,30 @@ impl Body {
         (force_n - self.constant_n - spring_n - self.damping_n_s_m * v_m_s) / self.mass_kg
     }
 
-    /// One fine step of `h_s` with friction: it stops where it turns, and stays where it is held.
+    /// One fine step of `h_s` with friction: where it turns it goes on from rest, or stays where it is held.
     fn slide(&self, state: &mut (f64, f64), force_n: f64, h_s: f64) {
-        let (x, v) = *state;
-        let free = self.free_m_s2(force_n, x, v);
-        let held = self.friction_n / self.mass_kg;
-        let a = match v {
-            0.0 if free.abs() <= held => 0.0,
-            0.0 => free - held * free.signum(),
-            _ => free - held * v.signum(),
+        let free_n = |x: f64| self.mass_kg * self.free_m_s2(force_n, x, 0.0);
+        let sense = match state.1 {
+            0.0 if free_n(state.0).abs() <= self.friction_n => return,
+            0.0 => free_n(state.0).signum(),
+            v => v.signum(),
         };
-        let next = v + h_s * a;
-        let turns = v != 0.0 && next * v < 0.0;
-        *state = if turns { (x, 0.0) } else { (x + h_s * next, next) };
+        let forces = [force_n - self.friction_n * sense; 3];
+        let mut next = *state;
+        self.swing(&mut next, forces, h_s);
+        if next.1 * sense < 0.0 {
+            // Velocities run along lines within so short a step.
+            let until_s = h_s * state.1 / (state.1 - next.1);
+            self.swing(state, forces, until_s);
+            state.1 = 0.0;
+            let rest_s = h_s - until_s;
+            let on_n = free_n(state.0);
+            if on_n.abs() > self.friction_n {
+                self.swing(state, [force_n - self.friction_n.copysign(on_n); 3], rest_s);
+            }
+        } else {
+            *state = next;
+        }
     }
 
     /// One fine step of `h_s` without friction (Runge and Kutta), the force at its beginning, middle and end.
@@ -130,6 +141,63 @@ fn driven(body: &Body, seed: u64, mut see: impl FnMut(&mut Record, (f64, f64), f
             let forces = [force, next(), next()];
             body.swing(&mut state, forces, 2.0 * half_s);
             force = forces[2];
+        }
+    }
+    record
+}
+
+/// Blows of a hammer, 12 ms each, every second or two for twenty seconds, seen by force, displacement and acceleration 2000 times a second.
+pub fn struck(body: &Body, seed: u64) -> Record {
+    let mut random = Pcg64::seed_from_u64(seed);
+    let mut blows: Vec<(f64, f64)> = vec![(0.3, 300.0)];
+    while let Some((at, _)) = blows.last().filter(|(at, _)| *at < 17.0) {
+        blows.push((at + random.random_range(1.2..1.9), random.random_range(160.0..400.0)));
+    }
+    let force = |t: f64| {
+        let of = |(at, peak): &(f64, f64)| match (t - at) / 0.012 {
+            x if (0.0..1.0).contains(&x) => peak * 0.5 * (1.0 - (TAU * x).cos()),
+            _ => 0.0,
+        };
+        blows.iter().map(of).sum::<f64>()
+    };
+    swinging(body, 0.0, force, [0.02, 5e-6, 4e-3], &mut random)
+}
+
+/// Pulled aside by so much and let go, nothing to drive it.
+pub fn let_go(body: &Body, start_m: f64, seed: u64) -> Record {
+    swinging(body, start_m, |_| 0.0, [0.0, 5e-6, 4e-3], &mut Pcg64::seed_from_u64(seed))
+}
+
+/// Twenty seconds at 2000 Hz; noise of force (N), displacement (m) and acceleration (m/s2), rms.
+fn swinging(
+    body: &Body,
+    start_m: f64,
+    force: impl Fn(f64) -> f64,
+    [of_force, of_displacement, of_acceleration]: [f64; 3],
+    random: &mut Pcg64,
+) -> Record {
+    const RATE_HZ: f64 = 2000.0;
+    const FINE: usize = 32;
+    const SAMPLES: usize = 40_000;
+    let h_s = 1.0 / (RATE_HZ * FINE as f64);
+    let mut record = Record::empty("swinging", Kind::Force, RATE_HZ);
+    let mut state = (start_m, 0.0);
+    for i in 0..SAMPLES {
+        let t = i as f64 / RATE_HZ;
+        let held = body.friction_n.copysign(state.1) / body.mass_kg;
+        let free = body.free_m_s2(force(t), state.0, state.1);
+        let still = state.1 == 0.0 && free.abs() <= held.abs();
+        record.time_s.push(t);
+        record.force_n.push(force(t) + noise(random, of_force));
+        record.displacement_m.push(state.0 + noise(random, of_displacement));
+        record.acceleration_m_s2.push(if still { 0.0 } else { free - held } + noise(random, of_acceleration));
+        for k in 0..FINE {
+            let at = t + k as f64 * h_s;
+            if body.friction_n > 0.0 {
+                body.slide(&mut state, force(at), h_s);
+            } else {
+                body.swing(&mut state, [force(at), force(at + 0.5 * h_s), force(at + h_s)], h_s);
+            }
         }
     }
     record

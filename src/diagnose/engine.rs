@@ -383,7 +383,7 @@ impl Composer<'_> {
     /// Numbers whose interval is hardly narrower than what the model file allowed.
     fn not_identifiable(&self, refit: &Refit) -> Vec<String> {
         let mut out = Vec::new();
-        if self.motion.kind == Kind::Base {
+        if self.motion.kind != Kind::Component && !self.motion.tells_mass() {
             out.push(
                 "mass_kg against all stiffnesses and dampings together (only force over mass is seen)"
                     .to_owned(),

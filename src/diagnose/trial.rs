@@ -249,6 +249,9 @@ pub fn base(
 /// The same by the force along the measured motion alone.
 pub fn base_by_force(problem: &Problem<'_>, nominal: &ModelSpec, from: Option<&Refit>) -> Option<Refit> {
     let mut numbers = Numbers::of_base(nominal, problem.motion.kind);
+    if !problem.motion.tells_mass() {
+        numbers.retain(|key| key != "mass_kg");
+    }
     for index in 0..nominal.effects.len() {
         numbers.add_effect(nominal, index, &super::candidates::scales(nominal, problem.motion));
     }

@@ -2,8 +2,8 @@
 
 use super::fused::differentiate;
 use super::motion::{Motion, MotionError, channel};
-use super::spectral::noise_of_sensor;
 use super::response::beside_jumps_of_few_samples;
+use super::spectral::noise_of_sensor;
 use crate::model::ModelSpec;
 use crate::record::{Kind, Record};
 

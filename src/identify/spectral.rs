@@ -157,6 +157,24 @@ mod tests {
     }
 
     #[test]
+    fn impacts_in_a_part_of_a_sweep_are_no_noise() {
+        use rand::{SeedableRng, prelude::Distribution};
+        let mut random = rand_pcg::Pcg64::seed_from_u64(5);
+        let normal = rand_distr::Normal::new(0.0, 1e-3).expect("valid");
+        // A corner at every impact, in the last third.
+        let hit = |i: u32| if i > 20_000 && i % 97 < 48 { 0.3 } else { 0.0 };
+        let of = |hit: &dyn Fn(u32) -> f64, random: &mut rand_pcg::Pcg64| -> f64 {
+            let x: Vec<f64> = (0..30_000_u32)
+                .map(|i| (f64::from(i) * 0.05).sin() + hit(i) + normal.sample(random))
+                .collect();
+            noise_of_whole(&x, &Spectrum::tapered(&x, 1000.0))
+        };
+        for told in [of(&|_| 0.0, &mut random), of(&hit, &mut random)] {
+            assert!((told / 1e-3 - 1.0).abs() < 0.06, "{told}");
+        }
+    }
+
+    #[test]
     fn noise_of_a_short_channel_is_told_as_well_as_is_said() {
         use rand::{SeedableRng, prelude::Distribution};
         let mut random = rand_pcg::Pcg64::seed_from_u64(4);

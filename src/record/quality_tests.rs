@@ -239,7 +239,7 @@ fn what_is_struck_or_let_go_swings_long_after() {
     // Blows of a hammer, 10 ms long, every 4 s; one alone.
     let blow = |t: f64| if t < 0.01 { 50.0 * (t * TAU / 0.02).sin() } else { 0.0 };
     assert_eq!(named(&swinging(0.0, |t| blow(t % 4.0))), []);
-    assert_eq!(named(&swinging(0.0, |t| blow(t))), []);
+    assert_eq!(named(&swinging(0.0, blow)), []);
     // Let go, and nothing after.
     let findings = examine(&swinging(0.02, |_| 0.0));
     let [finding] = findings.as_slice() else { panic!("{findings:?}") };

@@ -7,6 +7,9 @@ use crate::identify::motion::Window;
 use crate::identify::problem::DRIFT_MEMORY;
 use nalgebra::DMatrix;
 
+/// The least deviation: what is known exactly, as the amplitude of what drives a mass that was only let go.
+const KNOWN: f64 = 1e-100;
+
 impl Measured<'_> {
     /// Prior deviations of a step's nuisances before the drift.
     pub(super) fn sigmas(&self, window: &Window) -> Vec<f64> {
@@ -45,7 +48,7 @@ impl Measured<'_> {
         let (first, knots) = (sigmas.len(), self.knots(window));
         let mut out = DMatrix::zeros(first + knots, first + knots);
         for (j, sigma) in sigmas.into_iter().enumerate() {
-            out[(j, j)] = sigma.max(1e-300).powi(-2);
+            out[(j, j)] = sigma.max(KNOWN).powi(-2);
         }
         // A first-order autoregression from knot to knot.
         let innovation = (1.0 - DRIFT_MEMORY * DRIFT_MEMORY) * self.drift_m.max(1e-300).powi(2);

@@ -333,6 +333,43 @@ fn a_step_whose_start_is_hardly_known_does_not_stay_on_the_wrong_side_of_a_conta
 }
 
 #[test]
+fn a_blow_moves_a_mass_alike_in_both_solvers() {
+    let spec: ModelSpec = toml::from_str(
+        "name = 'struck'\nmass_kg = 10.0\n[isolator]\nstiffness_n_m = [6317.0]\nbreakpoints_m = []\ndamping_n_s_m = 5.0\n",
+    )
+    .expect("a model");
+    let mut record = Record::empty("struck", Kind::Force, 2000.0);
+    let mut specimen = model::build(&spec, 1.0 / 2000.0).expect("builds");
+    let mut random = rand_pcg::Pcg64::seed_from_u64(2);
+    for n in 0..20_000 {
+        // Twelve milliseconds of every second.
+        let force =
+            if n % 2000 < 24 { 200.0 * (1.0 - (TAU * f64::from(n % 2000) / 24.0).cos()) } else { 0.0 };
+        let response = specimen.step(-force / 10.0);
+        let normal: f64 = rand_distr::StandardNormal.sample(&mut random);
+        record.time_s.push(f64::from(n) / 2000.0);
+        record.force_n.push(force + 1e-2 * normal);
+        record.displacement_m.push(response.relative_displacement_m + 1e-6 * normal);
+    }
+    let motion = Motion::of(&record, 10.0, Tolerances::default()).expect("a motion");
+    let measured = Measured::new(&motion).expect("driven");
+    let mut general = spec.clone();
+    general.effects.push(effect("quadratic-damping", &[("c2_n_s2_m2", 0.0)]));
+    let numbers = Numbers::default();
+    let free = measured.free(&numbers, 0.0);
+    let values: Vec<f64> = free.iter().map(|f| f.start).collect();
+    let simulate = |spec: &ModelSpec| -> Vec<f64> {
+        let (_, steps) =
+            measured.lay(spec, Part::Training, &values, &measured.still(Part::Training)).expect("finite");
+        steps.iter().flat_map(|step| step.simulated.iter().map(|(_, d)| *d)).collect()
+    };
+    let (exact, general) = (simulate(&spec), simulate(&general));
+    let apart = exact.iter().zip(&general).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    let largest = exact.iter().fold(0.0_f64, |top, d| top.max(d.abs()));
+    assert!(apart < 1e-6 * largest, "{apart} m of {largest}");
+}
+
+#[test]
 fn a_line_rises_alike_at_its_ends() {
     let line: Simulated = (0..5).map(|i| (3.0 * f64::from(i), -2.0 * f64::from(i))).collect();
     (0..5).for_each(|i| assert_eq!(slopes(&line, i), (3.0, -2.0), "{i}"));
