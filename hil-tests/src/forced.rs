@@ -160,30 +160,29 @@ pub fn struck(body: &Body, seed: u64) -> Record {
         };
         blows.iter().map(of).sum::<f64>()
     };
-    swinging(body, 0.0, force, [0.02, 5e-6, 4e-3], &mut random)
+    swinging(body, 0.0, force, (2000.0, [0.02, 5e-6, 4e-3]), &mut random)
 }
 
-/// Pulled aside by so much and let go, nothing to drive it.
-pub fn let_go(body: &Body, start_m: f64, seed: u64) -> Record {
-    swinging(body, start_m, |_| 0.0, [0.0, 5e-6, 4e-3], &mut Pcg64::seed_from_u64(seed))
+/// Pulled aside by so much and let go, nothing to drive it; seen so many times a second.
+pub fn let_go(body: &Body, start_m: f64, rate_hz: f64, seed: u64) -> Record {
+    swinging(body, start_m, |_| 0.0, (rate_hz, [0.0, 6e-6, 4e-3]), &mut Pcg64::seed_from_u64(seed))
 }
 
-/// Twenty seconds at 2000 Hz; noise of force (N), displacement (m) and acceleration (m/s2), rms.
+/// Twenty seconds at a rate (Hz); noise of force (N), displacement (m) and acceleration (m/s2), rms.
 fn swinging(
     body: &Body,
     start_m: f64,
     force: impl Fn(f64) -> f64,
-    [of_force, of_displacement, of_acceleration]: [f64; 3],
+    (rate_hz, [of_force, of_displacement, of_acceleration]): (f64, [f64; 3]),
     random: &mut Pcg64,
 ) -> Record {
-    const RATE_HZ: f64 = 2000.0;
-    const FINE: usize = 32;
-    const SAMPLES: usize = 40_000;
-    let h_s = 1.0 / (RATE_HZ * FINE as f64);
-    let mut record = Record::empty("swinging", Kind::Force, RATE_HZ);
+    const FINE_S: f64 = 1.6e-5;
+    let fine = (1.0 / (rate_hz * FINE_S)).ceil() as usize;
+    let h_s = 1.0 / (rate_hz * fine as f64);
+    let mut record = Record::empty("swinging", Kind::Force, rate_hz);
     let mut state = (start_m, 0.0);
-    for i in 0..SAMPLES {
-        let t = i as f64 / RATE_HZ;
+    for i in 0..(20.0 * rate_hz) as usize {
+        let t = i as f64 / rate_hz;
         let held = body.friction_n.copysign(state.1) / body.mass_kg;
         let free = body.free_m_s2(force(t), state.0, state.1);
         let still = state.1 == 0.0 && free.abs() <= held.abs();
@@ -191,7 +190,7 @@ fn swinging(
         record.force_n.push(force(t) + noise(random, of_force));
         record.displacement_m.push(state.0 + noise(random, of_displacement));
         record.acceleration_m_s2.push(if still { 0.0 } else { free - held } + noise(random, of_acceleration));
-        for k in 0..FINE {
+        for k in 0..fine {
             let at = t + k as f64 * h_s;
             if body.friction_n > 0.0 {
                 body.slide(&mut state, force(at), h_s);

@@ -169,9 +169,15 @@ fn blows_of_a_hammer_tell_a_spring_that_bends_with_all_numbers() {
 
 #[test]
 fn a_free_decay_tells_dry_friction_over_the_mass_and_that_it_cannot_tell_the_mass() {
+    for (rate_hz, seed) in [(2000.0, 6), (500.0, 7), (500.0, 8)] {
+        tells_friction_over_the_mass(rate_hz, seed);
+    }
+}
+
+fn tells_friction_over_the_mass(rate_hz: f64, seed: u64) {
     let body = Body { friction_n: 1.0, ..SWING };
     let nominal = body.nominal("let go", 5);
-    let found = found(&let_go(&body, 0.02, 6), &nominal);
+    let found = found(&let_go(&body, 0.02, rate_hz, seed), &nominal);
     let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
     assert_eq!((found.verdict, named), (Verdict::Missing, vec!["coulomb-friction"]), "{:?}", found.refused);
     // Whatever it was given, the mass stays, and everything else is told over it.

@@ -371,6 +371,8 @@ impl Searcher<'_> {
             self.go_on(measured, best);
         }
         finalists.extend(self.falling(measured, finalists.first(), scales));
+        best_first(&mut finalists, from);
+        finalists.extend(self.level(measured, finalists.first(), scales));
         finalists.extend(self.turning(measured, &finalists, scales));
         best_first(&mut finalists, from);
         self.shape(measured, &mut finalists, scales);

@@ -140,6 +140,29 @@ impl Searcher<'_> {
         trial::respond(measured, &Trial { names, refit, ..best.clone() }, None, FURTHER_ON)
     }
 
+    /// Coulomb's friction beside a Stribeck's that does best, from where that has the model's own numbers: its own fit may have stopped
+    /// short of a place that the richer one reached, and stand behind for that alone.
+    pub(super) fn level(
+        &self,
+        measured: &Measured<'_>,
+        best: Option<&Trial>,
+        scales: &Scales,
+    ) -> Option<Trial> {
+        let best = best.filter(|best| verdict::last_name(best) == "stribeck-friction")?;
+        self.candidates(&best.refit.spec).iter().find(|effect| effect.name == "coulomb-friction")?;
+        let mut spec = best.refit.spec.clone();
+        let effect = spec.effects.last_mut()?;
+        let [constant, most, over] =
+            ["fc_n", "fs_n", "vs_m_s"].map(|name| effect.parameters.get(name).copied());
+        let falls = (-(scales.velocity_m_s / over?).powi(2)).exp();
+        effect.name = "coulomb-friction".into();
+        effect.parameters = [("fc_n".into(), constant? + (most? - constant?) * falls)].into_iter().collect();
+        let refit = with_last(&best.refit, spec, scales);
+        let mut names = best.names.clone();
+        *names.last_mut()? = "coulomb-friction".into();
+        trial::respond(measured, &Trial { names, refit, ..best.clone() }, None, FURTHER_ON)
+    }
+
     /// Coulomb's friction that turns round smoothly beside one that sticks, where friction does best: Stribeck's makes up for it with a
     /// damping that is off.
     pub(super) fn turning(
@@ -225,11 +248,44 @@ fn with_shape(trial: &Trial, scales: &Scales) -> Option<Trial> {
 
 #[cfg(test)]
 mod tests {
-    use super::TURNING;
+    use super::*;
     use crate::diagnose::adding::add;
+    use crate::diagnose::search::Effort;
     use crate::diagnose::testing::seen;
     use crate::diagnose::{Options, Verdict, diagnose};
+    use crate::identify::kinematics::Tolerances;
+    use crate::identify::motion::Motion;
     use crate::model::testing::{b1_g2, effect};
+
+    #[test]
+    fn coulombs_friction_goes_on_from_where_stribecks_ended() {
+        let mut truth = b1_g2();
+        truth.effects.push(effect("coulomb-friction", &[("fc_n", 12.0)]));
+        let motion = Motion::of(&seen(&truth, 35), 500.0, Tolerances::default()).expect("a motion");
+        let searcher = Searcher::new(&motion, &b1_g2(), Effort::default());
+        let (base, measured) =
+            (searcher.base(&b1_g2()).expect("fits"), searcher.measured.as_ref().expect("seen"));
+        let scales = candidates::scales(&base.refit.spec, &motion);
+        let beside = |name: &str, of: &[(&str, f64)]| {
+            let spec = candidates::beside(&base.refit.spec, &effect(name, of));
+            let mut numbers = base.refit.numbers.clone();
+            numbers.add_effect(&spec, spec.effects.len() - 1, &scales);
+            let refit = Refit { spec, numbers, ..base.refit.clone() };
+            let trial = Trial { names: vec![name.to_owned()], refit, ..base.clone() };
+            trial::respond(measured, &trial, None, FURTHER_ON).expect("fits")
+        };
+        let whole = beside("stribeck-friction", &[("fc_n", 8.0), ("fs_n", 14.0), ("vs_m_s", 0.02)]);
+        let own = beside("coulomb-friction", &[("fc_n", 8.0)]);
+        let level = searcher.level(measured, Some(&whole), &scales).expect("Coulomb's");
+        assert_eq!(level.names, ["coulomb-friction"]);
+        assert!(verdict::apart(&level, &own) > -1.0, "{}", verdict::apart(&level, &own));
+        let friction_n = level.refit.spec.effects[0].parameters["fc_n"];
+        assert!((friction_n - 12.0).abs() < 1.0, "{friction_n}");
+        // Of what is Coulomb's already there is nothing to do, nor where it is left out.
+        assert!(searcher.level(measured, Some(&own), &scales).is_none());
+        let without = Searcher::new(&motion, &b1_g2(), Effort::default()).without(&["coulomb-friction"]);
+        assert!(without.level(measured, Some(&whole), &scales).is_none());
+    }
 
     #[test]
     fn friction_that_turns_round_smoothly_is_no_stribeck_friction() {
