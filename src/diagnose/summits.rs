@@ -134,10 +134,7 @@ impl Searcher<'_> {
         if nats < FALLING {
             return None;
         }
-        let refit = with_last(&best.refit, spec, scales);
-        let mut names = best.names.clone();
-        *names.last_mut()? = "stribeck-friction".into();
-        trial::respond(measured, &Trial { names, refit, ..best.clone() }, None, FURTHER_ON)
+        trial::respond(measured, &with_last(best, spec, scales)?, None, FURTHER_ON)
     }
 
     /// Coulomb's friction beside a Stribeck's that does best, from where that has the model's own numbers: its own fit may have stopped
@@ -157,10 +154,7 @@ impl Searcher<'_> {
         let falls = (-(scales.velocity_m_s / over?).powi(2)).exp();
         effect.name = "coulomb-friction".into();
         effect.parameters = [("fc_n".into(), constant? + (most? - constant?) * falls)].into_iter().collect();
-        let refit = with_last(&best.refit, spec, scales);
-        let mut names = best.names.clone();
-        *names.last_mut()? = "coulomb-friction".into();
-        trial::respond(measured, &Trial { names, refit, ..best.clone() }, None, FURTHER_ON)
+        trial::respond(measured, &with_last(best, spec, scales)?, None, FURTHER_ON)
     }
 
     /// Coulomb's friction that turns round smoothly beside one that sticks, where friction does best: Stribeck's makes up for it with a
@@ -188,8 +182,7 @@ impl Searcher<'_> {
         if nats < FALLING {
             return None;
         }
-        let refit = with_last(&sticking.refit, spec, scales);
-        trial::respond(measured, &Trial { refit, ..sticking.clone() }, None, FURTHER_ON)
+        trial::respond(measured, &with_last(sticking, spec, scales)?, None, FURTHER_ON)
     }
 }
 
@@ -209,14 +202,16 @@ fn is_sticking(trial: &Trial) -> bool {
     verdict::last_name(trial) == "coulomb-friction" && !turns
 }
 
-/// A fit of a model that differs in its last effect, whose numbers are to be fitted as the model has them.
-fn with_last(from: &Refit, spec: ModelSpec, scales: &Scales) -> Refit {
-    let mut refit = Refit { spec, ..from.clone() };
-    let index = refit.spec.effects.len() - 1;
+/// A trial whose model differs in its last effect, which may be another one; its numbers are to be fitted as the model has them.
+fn with_last(from: &Trial, spec: ModelSpec, scales: &Scales) -> Option<Trial> {
+    let index = spec.effects.len().checked_sub(1)?;
+    let mut trial = from.clone();
+    trial.names.last_mut()?.clone_from(&spec.effects[index].name);
     let own = format!("effect[{index}].");
-    refit.numbers.retain(|key| !key.starts_with(&own));
-    refit.numbers.add_effect(&refit.spec, index, scales);
-    refit
+    trial.refit.numbers.retain(|key| !key.starts_with(&own));
+    trial.refit.numbers.add_effect(&spec, index, scales);
+    trial.refit.spec = spec;
+    Some(trial)
 }
 
 /// A trial in which the shape of its last effect is fitted, too; none where it has none.
@@ -234,16 +229,17 @@ fn with_shape(trial: &Trial, scales: &Scales) -> Option<Trial> {
         let default = (effect.parameters)(scales).iter().find(|p| p.name == *name)?.default?;
         spec.effects[index].parameters.entry((*name).to_owned()).or_insert(default);
     }
-    let mut refit = with_last(&trial.refit, spec, scales);
+    let mut shaped = with_last(trial, spec, scales)?;
     for (name, (low, high)) in shapes {
         let key = format!("effect[{index}].{name}");
-        let numbers = refit.numbers.numbers.iter().zip(&mut refit.numbers.free);
+        let Refit { numbers, .. } = &mut shaped.refit;
+        let numbers = numbers.numbers.iter().zip(&mut numbers.free);
         numbers.filter(|(number, _)| number.key == key).for_each(|(number, free)| {
             let of = |x: f64| if number.logarithmic { x.ln() } else { x };
             free.bounds = (of(*low), of(*high));
         });
     }
-    Some(Trial { refit, ..trial.clone() })
+    Some(shaped)
 }
 
 #[cfg(test)]

@@ -191,10 +191,8 @@ impl Motion {
         motion.mass_kg = mass_kg;
         motion.windows = windows::cut(record, &motion, farthest);
         if motion.kind == Kind::Base && motion.windows.iter().any(|window| window.random) {
-            let rate = motion.sample_rate_hz;
             let over_mass: Vec<f64> = motion.drive_m_s2.iter().map(|table| -table).collect();
-            let held = held_1_s2(&over_mass, &motion.displacement_m, rate);
-            motion.drive_m_s2 = along_straight_lines(&motion.drive_m_s2, rate, held);
+            motion.drive_m_s2 = driving(&over_mass, &motion.displacement_m, motion.sample_rate_hz);
         }
         if motion.is_coarse() {
             let solver = COARSE * motion.restoring_rms_m_s2();
@@ -309,7 +307,14 @@ impl Motion {
     }
 }
 
-fn rms(x: &[f64]) -> f64 {
+/// What is to drive a simulation, as an acceleration of the table (m/s2), so that a force over the mass moves it as it did although a solver
+/// joins samples by lines.
+fn driving(over_mass_m_s2: &[f64], displacement_m: &[f64], rate: f64) -> Vec<f64> {
+    let held = held_1_s2(over_mass_m_s2, displacement_m, rate);
+    along_straight_lines(over_mass_m_s2, rate, held).into_iter().map(|f| -f).collect()
+}
+
+pub(super) fn rms(x: &[f64]) -> f64 {
     (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt()
 }
 
@@ -439,10 +444,9 @@ fn forced(record: &Record, mass_kg: f64) -> Result<Motion, MotionError> {
         hiss if hiss < FILLED * rms(&over_mass) => hiss,
         _ => UNKNOWN * rms(&over_mass),
     };
-    let held = held_1_s2(&over_mass, &fused.displacement_m, rate);
     Ok(Motion {
         restoring_m_s2: over_mass.iter().zip(&seen).map(|(f, a)| f - a).collect(),
-        drive_m_s2: along_straight_lines(&over_mass, rate, held).into_iter().map(|f| -f).collect(),
+        drive_m_s2: driving(&over_mass, &fused.displacement_m, rate),
         seen_drive_m_s2: over_mass.iter().map(|f| -f).collect(),
         laser_m: displacement.map(<[f64]>::to_vec).unwrap_or_default(),
         sees_acceleration: acceleration.is_some(),

@@ -1,6 +1,6 @@
 //! Noise of a channel from its spectrum, and what a solver that joins samples by straight lines is to be given.
 
-use super::motion::FINEST;
+use super::motion::{FINEST, rms};
 use crate::record::quality::quantum;
 use crate::signal::Spectrum;
 use realfft::num_complex::Complex64;
@@ -60,8 +60,7 @@ pub fn stretches_noise_rms(channel: &[f64], sample_rate_hz: f64) -> f64 {
 /// Noise of a channel from stretches of it. A converter's steps are noise, too, of which a mass at rest shows nothing.
 pub fn noise_of_sensor(x: &[f64], sample_rate_hz: f64) -> f64 {
     let (low, high) = x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
-    let rms = (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt();
-    stretches_noise_rms(x, sample_rate_hz).max(FINEST * rms).max(quantum(x, high - low) / 12f64.sqrt())
+    stretches_noise_rms(x, sample_rate_hz).max(FINEST * rms(x)).max(quantum(x, high - low) / 12f64.sqrt())
 }
 
 /// Stretches that show less than this share of what the whole channel does tell its noise: the rest is not noise.
