@@ -2,7 +2,8 @@
 //! prints one line a case (tab separated), with the effects' numbers whose 95 % interval does not hold the truth, and a summary:
 //! verdicts, how many intervals hold the truth where it was named, number by number,
 //! held-out error over noise floor, how often what was named is there by its probability. With `--told true` wrong verdicts are
-//! laid beside the specimen itself; with `--shaking noise` the table moves as in an earthquake, with `--sensors laser-alone` fewer see the mass. Studies: `blind`, `healthy`,
+//! laid beside the specimen itself; with `--shaking noise` the table moves as in an earthquake, with `--sensors laser-alone` fewer see the mass; `--save FOLDER` leaves
+//! there what `shaketable diagnose` takes: each record, its nominal model, and the specimen. Studies: `blind`, `healthy`,
 //! `outside`, `pairs`, and `removed`, where the effect and its twin are taken out of the catalogue. Never quote seeds that were
 //! developed on.
 //!
@@ -18,7 +19,9 @@ use shaketable::diagnose::{Diagnosis, Options, Verdict, candidates, diagnose};
 use shaketable::identify::kinematics::Tolerances;
 use shaketable::identify::motion::Motion;
 use shaketable::model::effects;
+use shaketable::record::data::{self, Format};
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 /// Limits of the probabilities that are counted together.
 const BINS: [f64; 5] = [0.0, 0.5, 0.9, 0.99, 1.1];
@@ -28,6 +31,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let study = words.next().unwrap_or_else(|| "blind".to_owned());
     let (mut seeds, mut size, mut noise, mut only) = (0..20u64, 0.05, 1.0, None);
     let (mut verbose, mut told, mut shaking, mut sensors) = (false, false, Shaking::Sweep, Sensors::All);
+    let mut save: Option<PathBuf> = None;
     arguments::each(words, |word, value| {
         match word {
             "--seeds" => seeds = arguments::seeds(&value)?,
@@ -55,6 +59,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 };
             }
             "--only" => only = Some(value),
+            "--save" => save = Some(PathBuf::from(value)),
             _ => return Ok(false),
         }
         Ok(true)
@@ -82,6 +87,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             continue;
         };
         cases += 1;
+        if let Some(folder) = &save {
+            let models = [("nominal", &case.nominal), ("specimen", &case.truth)];
+            for (name, model) in models {
+                std::fs::write(folder.join(format!("{seed}-{name}.toml")), toml::to_string(model)?)?;
+            }
+            data::write(&case.record, &folder.join(format!("{seed}.parquet")), Format::Parquet)?;
+        }
         let options = Options {
             without: if removed { hidden::with_twin(effects[0]) } else { vec![] },
             ..Options::default()

@@ -2,14 +2,15 @@
 //! contains a simpler effect is tried without it. The search calls it wherever a base record drives a simulation.
 
 use super::candidates;
-use super::search::{Search, Searcher, Stage, UNSEEN, best_first};
+use super::contest::{Contest, Entrant, FURTHER_ON, HOPELESS, best_first};
+use super::parts;
+use super::search::{Search, Searcher, Stage, UNSEEN};
 use super::trial::{self, Response, Trial};
 use super::verdict;
 use crate::identify::least_squares::Settings;
-use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
 use crate::identify::refit::Refit;
-use crate::identify::response::{Laid, Measured, PROMISED, Score, Tangent};
+use crate::identify::response::{Measured, Score, Tangent, Until};
 use crate::model;
 use crate::model::effects::Effect;
 use crate::model::{EffectSpec, ModelSpec, Scales};
@@ -24,15 +25,6 @@ const STARTS: usize = 3;
 const OF_RINGING: usize = 5;
 /// Times as many starts of an effect as are fitted are looked at again to first order.
 const AGAIN: usize = 2;
-/// Nats behind the best within which another start of an effect is worth a fit.
-const NEARBY: f64 = 30.0;
-/// So many of those are refined, and whatever is that near after a short fit, but beside an effect that leaves much so many at most; so
-/// many at least, to be refused by name.
-const REFINED: usize = 3;
-const REFINED_FAR_OFF: usize = 6;
-const REFUSED: usize = 2;
-/// Every so many steps are looked at to sort them out.
-pub(super) const HALF: usize = 2;
 /// Share of the best one's nats to first order below which another start of an effect is not fitted.
 const ANOTHER: f64 = 0.3;
 /// Nats to first order below which a candidate is not fitted, the first alone to be refused by name; and the share of the first
@@ -47,9 +39,6 @@ const SECOND: f64 = 10.0;
 const BETTER: f64 = 2.0;
 /// Nats that a simpler effect beside the one that contains it has to bring.
 const MERGED: f64 = 20.0;
-/// What is behind the best by so many nats after a short fit gets no long one; a candidate a few rounds more, to be refused by name.
-pub(super) const HOPELESS: f64 = 80.0;
-const FEW_ROUNDS: usize = 2;
 /// Rounds of a fit with another slow noise.
 const HEARD_ANEW: usize = 6;
 /// Deviations of its prior that a number of the model is from where it was given when it makes up for something; and the share of
@@ -61,10 +50,6 @@ const JUST: f64 = 0.985;
 const WIDELY: f64 = 3.0;
 /// Profiles of an explanation that may come upon a better place.
 const PROFILES: usize = 3;
-/// How a fit goes on.
-pub(super) const FURTHER_ON: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
-/// How starts are sorted out.
-pub(super) const SORTED_OUT: Settings = Settings { iterations: 3, ..FURTHER_ON };
 /// Change of the response, in units of the noise, that is faint enough for first order; attempts to make a start as faint.
 const FAINT: f64 = 0.3;
 const FAINTER: usize = 3;
@@ -77,13 +62,16 @@ impl Searcher<'_> {
         if best.names.len() != from.names.len() + 1 || !best.names.starts_with(&from.names) {
             return None;
         }
-        let mut spec = best.refit.spec.clone();
+        let training = &from.response.as_ref()?.training;
+        let (mut spec, mut numbers) = (best.refit.spec.clone(), from.refit.numbers.clone());
         spec.effects.pop();
+        numbers.start_from(&spec);
         let start = Trial { refit: Refit { spec, ..from.refit.clone() }, ..from.clone() };
         let settings = Settings { iterations: 20, ..Settings::default() };
-        let again = trial::respond(measured, &start, None, settings)?;
-        let cost = |trial: &Trial| trial.response.as_ref().map_or(f64::INFINITY, |r| r.training.total());
-        (cost(from) - cost(&again) > 2.0 * BETTER).then_some(again)
+        let (spec, until) = (&start.refit.spec, Until::better_than(training));
+        let again = measured.fit_up_to(spec, &numbers, (from.refit.zero_m, None), settings, until)?;
+        let better = training.total() - again.total() > 2.0 * BETTER;
+        if better { trial::judge_response(measured, &start, numbers, again) } else { None }
     }
 
     /// Where a better model leaves another slow noise of the displacement sensor, everything found so far is fitted and judged with that:
@@ -298,75 +286,22 @@ impl Searcher<'_> {
             }
             goes_on
         });
+        parts::done("first order");
         let mut starts: Vec<ModelSpec> = first.into_iter().map(|(_, spec)| spec).collect();
         starts.extend(by_force.iter().map(|(_, refit)| refit.spec.clone()));
-        let long = Settings { iterations: 30, ..Settings::default() };
-        let fit = |measured: &Measured<'_>, start: &ModelSpec, settings: Settings, beyond: f64| {
-            let mut numbers = from.refit.numbers.clone();
-            numbers.add_effect(start, start.effects.len() - 1, scales);
-            numbers.start_from(start);
-            let laid = measured.fit_up_to(start, &numbers, (from.refit.zero_m, None), settings, beyond)?;
-            let mut spec = start.clone();
-            numbers.put(&laid.values, &mut spec).then_some((spec, numbers, laid))
-        };
-        let some = measured.every(HALF);
-        let mut tried: Vec<_> =
-            parallel::map(&starts, parallel::cores(), |start| fit(&some, start, SORTED_OUT, f64::INFINITY))
-                .into_iter()
-                .flatten()
-                .collect();
-        let cost = Laid::total;
-        tried.sort_by(|a, b| cost(&a.2).total_cmp(&cost(&b.2)));
-        let mut others = first_of_each(&mut tried, |_| 1, |(spec, _, _)| spec.effects.last());
-        let least = tried.first().map_or(0.0, |(_, _, laid)| cost(laid));
-        let behind = |short: &Laid| 0.5 * HALF as f64 * (cost(short) - least) / response.colour().max(1.0);
-        let within = |nats: f64| tried.iter().take_while(|(_, _, short)| behind(short) < nats).count();
-        let (mut near, hopeful) = (within(NEARBY), within(HOPELESS));
-        // Beside an effect a long record leaves so little that a short fit sorts them out; where much is left, most of them do nothing
-        // about it, and what is left is no noise that nats could be counted over.
-        if !from.names.is_empty() {
-            near = match (measured.is_long(), far) {
-                (true, _) => near.min(REFINED),
-                (false, true) => near.min(REFINED_FAR_OFF),
-                (false, false) => near,
-            };
-        }
-        tried.truncate(near.max(hopeful.clamp(REFUSED, REFINED)));
-        // Each step's start anew: what the model before had there holds the gap where it was.
-        let arrived = |(spec, _, short): &(ModelSpec, Numbers, Laid), beyond: f64| {
-            // One that is a good way behind and promises no more does not catch up either.
-            let settled = behind(short) - PROMISED * 0.5 * HALF as f64 * short.promised();
-            let hopeless = behind(short) > HOPELESS || settled > 0.5 * HOPELESS;
-            let rounds = if hopeless { FEW_ROUNDS } else { long.iterations };
-            let (spec, numbers, laid) = fit(measured, spec, Settings { iterations: rounds, ..long }, beyond)?;
-            let mut names = from.names.clone();
-            names.push(spec.effects.last()?.name.clone());
-            let refit = Refit { spec, ..from.refit.clone() };
-            trial::judge_response(measured, &Trial { names, refit, ..from.clone() }, numbers, laid)
-        };
-        // The best first: what is far behind that and promises no more is given up.
-        let mut finalists: Vec<Trial> =
-            tried.first().and_then(|first| arrived(first, f64::INFINITY)).into_iter().collect();
-        let beyond = finalists.first().map_or(f64::INFINITY, |best| best.total_behind(HOPELESS));
-        let rest = tried.get(1..).unwrap_or_default();
-        let rest = parallel::map(rest, parallel::cores(), |start| arrived(start, beyond));
-        finalists.extend(rest.into_iter().flatten());
-        best_first(&mut finalists, from);
+        let contest = Contest::new(measured, from, scales, response.colour());
+        let (tried, others) = contest.in_short(&starts);
+        let hopeful = tried.iter().any(Entrant::is_hopeful);
+        parts::done("short fits");
+        let mut finalists = contest.in_full(tried);
+        parts::done("fits");
         // Nothing better need be looked for where the best brings nothing, of a long record or when no more was promised.
-        let looked_for = !measured.is_long() && (best > CHANCE || far);
+        let looked_for = !measured.is_long() && hopeful && (best > CHANCE || far);
         if !looked_for && finalists.first().is_none_or(|best| verdict::apart(best, from) <= 0.0) {
             return finalists;
         }
-        // The other starts of the best, and of those that come near it: a likelihood with several summits.
-        let near = |name: &str| {
-            let near = |trial: &&Trial| verdict::apart(&finalists[0], trial) < NEARBY;
-            finalists.iter().filter(near).any(|trial| verdict::last_name(trial) == name)
-        };
-        others.retain(|(spec, _, _)| spec.effects.last().is_some_and(|effect| near(&effect.name)));
-        let beyond = finalists.first().map_or(f64::INFINITY, |best| best.total_behind(NEARBY));
-        let others = parallel::map(&others, parallel::cores(), |start| arrived(start, beyond));
-        finalists.extend(others.into_iter().flatten());
-        best_first(&mut finalists, from);
+        contest.other_summits(others, &mut finalists);
+        parts::done("fits from other starts");
         if let Some(best) = finalists.first_mut() {
             self.go_on(measured, best);
         }
@@ -380,6 +315,7 @@ impl Searcher<'_> {
         if let Some(best) = finalists.first_mut() {
             self.ringing(measured, best, scales);
         }
+        parts::done("shapes and summits");
         finalists
     }
 

@@ -3,6 +3,7 @@
 use super::instruments::{self, Finding};
 use super::missing_force;
 use super::next_test::{self, Reach};
+use super::parts;
 use super::report::{Diagnosis, NamedEffect, ParameterEstimate, Reidentified, Rung, StepErrors};
 use super::search::{Effort, Search, Searcher};
 use super::trial::{self, Response, Trial};
@@ -83,7 +84,7 @@ pub fn diagnose_together(
     let Some((_, nominal)) = tests.first() else {
         return Err(MotionError::TooShort { samples: 0, needed: 1 }.into());
     };
-    let mut parts = Vec::with_capacity(tests.len());
+    let mut motions = Vec::with_capacity(tests.len());
     let mut findings: Vec<(usize, Finding)> = Vec::new();
     let mut notes: Vec<String> = Vec::new();
     for (i, (record, model)) in tests.iter().enumerate() {
@@ -96,10 +97,12 @@ pub fn diagnose_together(
                 findings.push((i, finding));
             }
         }
-        parts.push((motion, Setting::between(nominal, model)?));
+        motions.push((motion, Setting::between(nominal, model)?));
     }
-    let motion = Motion::together(parts)?;
+    let motion = Motion::together(motions)?;
+    parts::done("fitness, instruments, motion");
     let mut out = of_motion((tests, nominal), options, motion, (findings, notes), QUIETER)?;
+    parts::done("errors, missing force");
     out.wall_s = begun.elapsed().as_secs_f64();
     Ok(out)
 }
@@ -116,6 +119,7 @@ fn of_motion(
     again: usize,
 ) -> Result<Diagnosis, DiagnoseError> {
     let searcher = Searcher::new(&motion, nominal, options.effort).without(&options.without);
+    parts::done("weights");
     let diverges = || DiagnoseError::Diverges { name: nominal.name.clone() };
     let search = searcher.search(nominal, options.thresholds).ok_or_else(diverges)?;
     let mut decision = verdict::decide(&search, &searcher, options.thresholds);
@@ -128,6 +132,7 @@ fn of_motion(
     if decision.verdict != Verdict::OutsideCatalogue {
         decision.chosen = searcher.bounded(decision.chosen);
     }
+    parts::done("verdict and limits");
     let gains = searcher.gains(&decision.chosen);
     for (i, finding) in &mut findings {
         gains.get(*i).copied().into_iter().for_each(|gains| finding.sharpen(gains));

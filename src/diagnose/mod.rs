@@ -4,6 +4,7 @@
 pub mod adding;
 mod by_response;
 pub mod candidates;
+mod contest;
 pub mod discrimination;
 pub mod engine;
 mod errors;
@@ -12,6 +13,7 @@ pub mod live;
 pub mod missing_force;
 pub mod next_test;
 pub mod out_there;
+pub mod parts;
 pub mod report;
 pub mod search;
 pub mod shapes;

@@ -1,7 +1,7 @@
 //! The last fit of a model that is to follow a run: numbers that no steady step tells (a slope beyond the last knee) from the cycles
 //! in which the mass goes farther than in any of them. Called where a model is written to a file.
 
-use super::by_response::FURTHER_ON;
+use super::contest::FURTHER_ON;
 use super::search::{Effort, Searcher, UNSEEN};
 use super::trial::Trial;
 use crate::identify::kinematics::Tolerances;

@@ -2,6 +2,8 @@
 
 use super::by_response::first_of_each;
 use super::candidates;
+use super::contest::{HOPELESS, best_first};
+use super::parts;
 use super::trial::{self, Trial};
 use super::verdict::{self, Thresholds};
 use crate::identify::least_squares::Settings;
@@ -205,6 +207,7 @@ impl<'a> Searcher<'a> {
             (false, true) => self.screen(&base, &effects, &scales),
             (false, false) => known,
         };
+        parts::done("candidates by force");
         let by_force = best.clone();
         let reference = trial::objective(&base).max(1e-300);
         let floor = (self.screening.weighted_count(Part::Training) as f64).min(reference);
@@ -370,6 +373,7 @@ impl<'a> Searcher<'a> {
         let component = self.motion.kind == Kind::Component;
         let enough = if component { 0.0 } else { 0.5 * thresholds.left };
         let base = self.base(nominal)?;
+        parts::done("base model");
         let mut search = Search { base, stages: Vec::new() };
         // Beyond a pair the response explains anything.
         let together =
@@ -393,11 +397,17 @@ impl<'a> Searcher<'a> {
             // Of a second stage only where it brings anything: what it goes on from may have stopped short.
             let asked = depth == 0 || stage.finalists.iter().any(|t| verdict::brings(t, &from, thresholds));
             if let Some(better) = if asked { self.better_placed(&stage, &from) } else { None } {
-                stage = self.stage_again(&better, stage.by_force);
+                // What leaves nothing, far ahead of that, stays what it is.
+                let stays = |best: &Trial| !best.leaves_much() && verdict::apart(best, &better) > HOPELESS;
+                if !stage.finalists.first().is_some_and(stays) {
+                    stage = self.stage_again(&better, stage.by_force);
+                }
                 search.replace(&better);
                 from = better;
             }
+            parts::done("base model again");
             from = self.heard_anew(&mut search, &mut stage, &from).unwrap_or(from);
+            parts::done("all again with other slow noise");
             // Where the best leaves much.
             if stage.finalists.first().is_none_or(Trial::leaves_much)
                 && let Some(back) = self.brought_back(&from)
@@ -436,6 +446,7 @@ impl<'a> Searcher<'a> {
             if gained {
                 self.exchange_first(&mut stage, &search.base);
             }
+            parts::done("other first effects");
             search.stages.push(stage);
             if !gained {
                 break;
@@ -464,27 +475,6 @@ fn reached(problem: &Problem<'_>, nominal: &ModelSpec, fit: Refit) -> Refit {
         }
     }
     best
-}
-
-/// By what they bring on top of another trial, the best one alone of those with the same effects. Where the response decides, by
-/// what they are behind the one that leaves least: over a model that is far off, a thousandth in how many residuals count as one
-/// is hundreds of nats.
-pub(super) fn best_first(trials: &mut Vec<Trial>, from: &Trial) {
-    let cost = |trial: &Trial| {
-        trial.response.as_ref().map_or(f64::INFINITY, |r| r.training.total() + r.held_out.cost)
-    };
-    let least = trials.iter().min_by(|a, b| cost(a).total_cmp(&cost(b))).filter(|t| t.response.is_some());
-    let beside = least.cloned();
-    let brings = |trial: &Trial| verdict::apart(trial, beside.as_ref().unwrap_or(from));
-    trials.sort_by(|a, b| brings(b).total_cmp(&brings(a)));
-    let mut seen: Vec<Vec<String>> = Vec::with_capacity(trials.len());
-    trials.retain(|trial| {
-        let mut effects = trial.names.clone();
-        effects.sort();
-        let new = !seen.contains(&effects);
-        seen.push(effects);
-        new
-    });
 }
 
 impl Search {

@@ -1,13 +1,14 @@
 //! Effects whose likelihood has more than one summit, or numbers that are left out at first: sharpness of a hysteresis, ringing of a
 //! stand, breakaway of friction. The search by the response calls them for the best of its candidates.
 
-use super::by_response::{FURTHER_ON, HALF, HOPELESS, SORTED_OUT, WORTH};
+use super::by_response::WORTH;
+use super::contest::{FURTHER_ON, HALF, HOPELESS, SORTED_OUT};
 use super::search::Searcher;
 use super::trial::{self, Trial};
 use super::{candidates, verdict};
 use crate::identify::least_squares::Settings;
 use crate::identify::refit::Refit;
-use crate::identify::response::Measured;
+use crate::identify::response::{Measured, Until};
 use crate::model::effects::coulomb_friction::TURNING;
 use crate::model::{EffectSpec, ModelSpec, Scales, effects};
 use crate::parallel;
@@ -35,7 +36,14 @@ impl Searcher<'_> {
             if verdict::apart(&best, trial) > HOPELESS + best.nats_left() {
                 return None;
             }
-            let shaped = trial::respond(measured, &with_shape(trial, scales)?, None, OF_SHAPE)?;
+            let (shaped, without) = (with_shape(trial, scales)?, &trial.response.as_ref()?.training);
+            let Refit { spec, zero_m, .. } = &shaped.refit;
+            let mut numbers = shaped.refit.numbers.clone();
+            numbers.start_from(spec);
+            // From where it is; given up where it does not pay.
+            let until = Until { beyond: without.total() - 2.0 * WORTH, known: None };
+            let laid = measured.fit_up_to(spec, &numbers, (*zero_m, Some(without)), OF_SHAPE, until)?;
+            let shaped = trial::judge_response(measured, &shaped, numbers, laid)?;
             (verdict::apart(&shaped, trial) > WORTH).then_some(shaped)
         };
         replace_where_told(finalists, reshaped);

@@ -58,7 +58,7 @@ pub struct Problem<'a> {
 }
 
 /// Steps that are looked at at least to sort out.
-const FEWEST_STEPS: usize = 16;
+const FEWEST_STEPS: usize = 12;
 /// Noises of the displacement within which a bend of the force is not to be trusted: of a model that is yet to be fitted, and
 /// of one that is.
 pub const WIDE: f64 = 16.0;

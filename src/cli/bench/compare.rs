@@ -64,7 +64,7 @@ fn fastest(mut run: impl FnMut() -> f64) -> f64 {
 }
 
 /// The record of an ideal table with noisy sensors.
-fn sweep(model: &ModelSpec) -> Result<Record, CliError> {
+pub(super) fn sweep(model: &ModelSpec) -> Result<Record, CliError> {
     let sweep = SweepSpec { transition: Transition::None, acceleration_g: 0.05, ..SweepSpec::paper() };
     let schedule = Schedule::new(&sweep).map_err(CliError::usage)?;
     let mut record = Record::empty("bench", Kind::Base, SAMPLE_RATE_HZ);

@@ -3,6 +3,7 @@
 
 mod compare;
 mod cyclictest;
+mod diagnose;
 mod model;
 mod wall;
 
@@ -31,6 +32,8 @@ enum What {
     Model,
     /// A comparison of a whole sweep and its parts.
     Compare,
+    /// A diagnosis of a whole sweep through the whole catalogue and its parts.
+    Diagnose(diagnose::DiagnoseArgs),
     /// Time of one control step with filters, model, detectors and demodulation on.
     Control {
         /// Control steps that are timed.
@@ -66,6 +69,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     match &args.what {
         What::Model => model::execute(args.json),
         What::Compare => compare::execute(args.json),
+        What::Diagnose(what) => diagnose::execute(what, args.json),
         What::Control { steps, case } => control(*steps, case, args.json),
         What::Latency { wall, rate } => wall::latency(wall, *rate, args.json),
         What::Rate { wall, rates } => wall::rates(wall, rates, args.json),

@@ -3,6 +3,7 @@
 
 use super::columns::Job;
 use super::tangent::is_piecewise_linear;
+use super::until::{Course, Until};
 use super::{COMMON, Laid, Measured, Nuisances, Step, robust};
 use crate::identify::kinematics::Estimate;
 use crate::identify::least_squares::{self, Free, Settings, dot, gram, mixed_gram};
@@ -24,6 +25,8 @@ pub(super) const LITTLE: f64 = 0.98;
 const CHORDS: usize = 3;
 /// A fit of so few rounds sorts out: its slopes need not be better than its steps.
 const SORTING: usize = 3;
+/// Square of the distance, in deviations, within which two fits end in the same place.
+const SAME: f64 = 1.0;
 /// Damping of a first step, and the one at which coarse slopes lead no farther.
 const UNDAMPED: f64 = 1e-4;
 const STALLED: f64 = 1.0;
@@ -44,17 +47,17 @@ impl<'a> Measured<'a> {
         from: Option<&Laid>,
         settings: Settings,
     ) -> Option<Laid> {
-        self.fit_up_to(start, numbers, (zero_m, from), settings, f64::INFINITY)
+        self.fit_up_to(start, numbers, (zero_m, from), settings, Until::default())
     }
 
-    /// The same, given up as soon as it is not going to come below such a total, whatever it promises.
+    /// The same, given up where it is not worth going on; `None` also where it leads to a known place.
     pub fn fit_up_to(
         &self,
         start: &ModelSpec,
         numbers: &Numbers,
         (zero_m, from): (f64, Option<&Laid>),
         settings: Settings,
-        beyond: f64,
+        until: Until<'_>,
     ) -> Option<Laid> {
         let free = self.free(numbers, zero_m);
         let mut values: Vec<f64> = free.iter().map(|f| f.start.clamp(f.bounds.0, f.bounds.1)).collect();
@@ -66,7 +69,7 @@ impl<'a> Measured<'a> {
         }
         // Where the solver is exact there are no coarse slopes.
         let fine = is_piecewise_linear(start);
-        let fitted = || Fitted { beyond, ..Fitted::new(start, numbers, &free, fine) };
+        let fitted = || Fitted { until, ..Fitted::new(start, numbers, &free, fine) };
         let laid = self.descend(fitted(), values, nuisances, settings)?;
         if settings.iterations <= SORTING {
             return Some(laid);
@@ -94,13 +97,20 @@ impl<'a> Measured<'a> {
         let (mut rounds, mut chords, mut idle) = (0, 0, 0);
         // Where the last of several short steps ended.
         let mut behind: Option<(Vec<f64>, Vec<Nuisances>)> = None;
+        let mut course = Course::new(at.total, settings.iterations);
         while rounds < settings.iterations {
             let Some((moved, own)) = system.step(free, &at.values, &at.nuisances, damping) else { break };
             if chords == 0 {
                 let promised = system.promises(free, &at.values, &moved);
-                // One that is far behind and promises no more does not catch up.
-                if damping <= UNDAMPED && at.total - PROMISED * promised > fitted.beyond {
+                // One that is far behind and promises no more, or that has slowed down so much, does not catch up.
+                let promises = damping > UNDAMPED || at.total - PROMISED * promised <= fitted.until.beyond;
+                if !promises || course.may_come_to() > fitted.until.beyond {
                     break;
+                }
+                if damping <= UNDAMPED
+                    && fitted.until.known.is_some_and(|known| system.leads_to(&moved, known))
+                {
+                    return None;
                 }
                 if promised < SETTLED {
                     if !coarse(&fitted) {
@@ -140,6 +150,7 @@ impl<'a> Measured<'a> {
                 }
                 behind = ended;
                 rounds += 1;
+                course.came_to(at.total);
                 damping = (damping * 0.1).max(1e-9);
             }
             fitted.spec.clone_from(&at.spec);
@@ -381,8 +392,8 @@ pub(super) struct Fitted<'b> {
     pub(super) moving: bool,
     /// Slopes along the numbers as good as they are to be had.
     pub(super) fine: bool,
-    /// Total beyond which it is given up.
-    pub(super) beyond: f64,
+    /// When it is given up.
+    pub(super) until: Until<'b>,
     /// Standard deviation of each value as far as it is known; none before the first slopes.
     pub(super) deviations: Vec<f64>,
 }
@@ -395,7 +406,7 @@ impl<'b> Fitted<'b> {
             free,
             moving: true,
             fine,
-            beyond: f64::INFINITY,
+            until: Until::default(),
             deviations: Vec::new(),
         }
     }
@@ -446,6 +457,12 @@ impl System {
             -2.0 * self.gradient.dot(&change) - (change.transpose() * &self.normal * &change)[(0, 0)];
         let of_priors = least_squares::prior_sum(free, values) - least_squares::prior_sum(free, moved);
         of_steps.sum::<f64>() + of_values + of_priors
+    }
+
+    /// Whether values lie where another fit of them ended, as far as the record tells.
+    fn leads_to(&self, moved: &[f64], known: &Laid) -> bool {
+        let apart = DVector::from_fn(moved.len(), |j, _| moved[j] - known.values[j]);
+        (apart.transpose() * &self.normal * &apart)[(0, 0)] < SAME
     }
 
     /// Values and nuisances after a damped step.

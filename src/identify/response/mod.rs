@@ -20,10 +20,12 @@ mod specimens;
 mod tangent;
 #[cfg(test)]
 mod tests;
+mod until;
 
 pub use descent::PROMISED;
 pub use left::Left;
 pub use tangent::{Score, Tangent};
+pub use until::Until;
 
 use driven::{Innovations, zero_of_table_m_s2};
 use jumps::beside_jumps;
@@ -47,7 +49,7 @@ use std::sync::{Arc, OnceLock, RwLock};
 /// which a stiff contact leads elsewhere does not rule the fit.
 const ROBUST: f64 = 1.5;
 /// Samples of a record that are simulated at most in one evaluation; steps are left out evenly beyond it.
-const SAMPLES: usize = 120_000;
+const SAMPLES: usize = 75_000;
 /// A record of more samples tells enough by a part of its steps where candidates are sorted out.
 const LONG: usize = 360_000;
 /// Standard deviation of the time between the table's channel and the others, in samples.

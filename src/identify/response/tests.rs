@@ -74,6 +74,25 @@ fn numbers_that_are_off_are_found_within_their_intervals_and_noise_is_left() {
 }
 
 #[test]
+fn a_fit_that_leads_to_a_known_place_is_given_up_and_one_that_leads_elsewhere_is_not() {
+    let motion = Motion::of(&seen(&off(), 12), 500.0, Tolerances::default()).expect("a motion");
+    let measured = Measured::new(&motion).expect("a base record");
+    let (_, numbers, laid) = fitted(&measured);
+    let settings = Settings { iterations: 30, ..Settings::default() };
+    let fit = |known: &Laid| {
+        measured.fit_up_to(&b1_g2(), &numbers, (0.0, None), settings, Until::better_than(known))
+    };
+    assert!(fit(&laid).is_none());
+    // A place that is no floor: the first stiffness ten deviations beside it.
+    let mut elsewhere = laid.clone();
+    let sigma = measured.refit(&b1_g2(), &numbers, &laid, 1.0).sigmas[0];
+    elsewhere.values[0] += 10.0 * sigma;
+    elsewhere.cost += 100.0;
+    let found = fit(&elsewhere).expect("another place");
+    assert!((found.total() - laid.total()).abs() < 0.1, "{} {}", found.total(), laid.total());
+}
+
+#[test]
 fn slow_noise_of_the_displacement_sensor_is_told_from_what_a_model_leaves() {
     let heard = |slow_m: f64| {
         let mut record = seen(&off(), 14);

@@ -1,0 +1,110 @@
+//! `bench diagnose`: a whole sweep through the whole catalogue, and how long each part of it takes.
+
+use super::compare::sweep;
+use crate::cli::{CliError, Outcome};
+use crate::config::{ConfigError, builtin::find};
+use crate::diagnose::{Options, diagnose, parts};
+use crate::model::{ModelSpec, Scales, effects};
+use crate::units::SAMPLE_RATE_HZ;
+use serde_json::{Map, Value};
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+use tracing::Event;
+use tracing::field::{Field, Visit};
+use tracing::subscriber::with_default;
+use tracing_subscriber::layer::{Context, Layer, SubscriberExt as _};
+
+/// What the specimen of each sweep carries.
+#[derive(Debug, clap::Args)]
+pub struct DiagnoseArgs {
+    /// Hidden effects, one sweep for each, with their starting values; `none` for a model that lacks nothing.
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "none,cubic-stiffness,coulomb-friction,maxwell-branch,hertz-contact,bouc-wen-hysteresis"
+    )]
+    effects: Vec<String>,
+}
+
+/// Seconds of every part, in the order in which they first ended.
+#[derive(Default)]
+struct Watch {
+    times: Vec<(String, f64)>,
+    last: Option<Instant>,
+}
+
+/// Adds up what the parts of a diagnosis take.
+struct Listener(Arc<Mutex<Watch>>);
+
+impl<S: tracing::Subscriber> Layer<S> for Listener {
+    fn on_event(&self, event: &Event<'_>, _context: Context<'_, S>) {
+        if event.metadata().target() != parts::TARGET {
+            return;
+        }
+        let mut part = Part(String::new());
+        event.record(&mut part);
+        let Ok(mut watch) = self.0.lock() else { return };
+        let now = Instant::now();
+        let seconds = watch.last.replace(now).map_or(0.0, |last| (now - last).as_secs_f64());
+        match watch.times.iter_mut().find(|(name, _)| *name == part.0) {
+            Some((_, sum)) => *sum += seconds,
+            None => watch.times.push((part.0, seconds)),
+        }
+    }
+}
+
+/// Name of the part that an event tells of.
+struct Part(String);
+
+impl Visit for Part {
+    fn record_str(&mut self, _field: &Field, value: &str) {
+        value.clone_into(&mut self.0);
+    }
+
+    fn record_debug(&mut self, _field: &Field, _value: &dyn std::fmt::Debug) {}
+}
+
+/// Times a diagnosis of the paper's sweep (B1-G2 at 0.05 g) with the noise of the sensors for each hidden effect.
+///
+/// # Errors
+/// [`CliError::Usage`] for an effect that is not in the catalogue; a diagnosis that fails.
+pub fn execute(args: &DiagnoseArgs, json: bool) -> Result<Outcome, CliError> {
+    let usage = |error: ConfigError| CliError::Usage(error.into());
+    let model: ModelSpec = find("models", "andreaus-2020-b1-g2").and_then(|s| s.parse()).map_err(usage)?;
+    let scales = Scales::of_spec(&model, 1.0 / SAMPLE_RATE_HZ);
+    let mut told = Vec::new();
+    for name in &args.effects {
+        let mut specimen = model.clone();
+        if name != "none" {
+            specimen.effects.push(effects::find(name).map_err(CliError::usage)?.starting_spec(&scales));
+        }
+        let record = sweep(&specimen)?;
+        let watch = Arc::new(Mutex::new(Watch { last: Some(Instant::now()), ..Watch::default() }));
+        let subscriber = tracing_subscriber::registry().with(Listener(Arc::clone(&watch)));
+        let begun = Instant::now();
+        let found = with_default(subscriber, || diagnose(&record, &model, &Options::default()));
+        let seconds = begun.elapsed().as_secs_f64();
+        let found = found.map_err(CliError::failed)?;
+        let said = found.effects.iter().map(|effect| effect.name.as_str()).collect::<Vec<_>>().join(" + ");
+        let said = if said.is_empty() { found.verdict.name().to_owned() } else { said };
+        let times = watch.lock().map(|mut watch| std::mem::take(&mut watch.times)).unwrap_or_default();
+        if json {
+            let mut figures = Map::new();
+            figures.insert("hidden".to_owned(), name.clone().into());
+            figures.insert("said".to_owned(), said.into());
+            figures.insert("samples".to_owned(), record.len().into());
+            figures.insert("diagnose_s".to_owned(), seconds.into());
+            let parts: Map<String, Value> =
+                times.into_iter().map(|(part, seconds)| (part, seconds.into())).collect();
+            figures.insert("parts_s".to_owned(), parts.into());
+            told.push(Value::Object(figures));
+            continue;
+        }
+        println!("hidden {name}, said {said}: {} samples, {seconds:.2} s", record.len());
+        times.iter().for_each(|(part, seconds)| println!("  {part:<32} {seconds:>6.2}"));
+    }
+    if json {
+        println!("{}", Value::Array(told));
+    }
+    Ok(Outcome::Done)
+}

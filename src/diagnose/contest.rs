@@ -1,0 +1,259 @@
+//! Starts of effects fitted by the response against each other beside one model: in short by a part of the steps, then the best of
+//! them in full, then from other starts. The search by the response hands over those that first order and force put first.
+
+use super::by_response::first_of_each;
+use super::trial::{self, Trial};
+use super::verdict;
+use crate::identify::least_squares::Settings;
+use crate::identify::numbers::Numbers;
+use crate::identify::refit::Refit;
+use crate::identify::response::{Laid, Measured, PROMISED, Until};
+use crate::model::{ModelSpec, Scales};
+use crate::parallel;
+
+/// Every so many steps are looked at to sort starts out.
+pub(super) const HALF: usize = 2;
+/// How fits go on.
+pub(super) const FURTHER_ON: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
+/// How starts are sorted out, and what is left of them fitted.
+pub(super) const SORTED_OUT: Settings = Settings { iterations: 3, ..FURTHER_ON };
+const IN_FULL: Settings = Settings { iterations: 30, ..FURTHER_ON };
+/// What is behind the best by so many nats after a short fit gets no long one; a candidate a few rounds more, to be refused by name.
+pub(super) const HOPELESS: f64 = 80.0;
+const FEW_ROUNDS: usize = 2;
+/// Nats that an effect beside another may bring after a short fit, half of what is asked of it, for a full one.
+const PROMISING: f64 = 5.0;
+/// Nats behind the best within which another start of an effect is worth a fit.
+const NEARBY: f64 = 30.0;
+/// So many of those are refined, and whatever is that near after a short fit, but beside an effect that leaves much so many at most; so
+/// many at least, to be refused by name.
+const REFINED: usize = 3;
+const REFINED_FAR_OFF: usize = 6;
+const REFUSED: usize = 2;
+
+/// A model that starts are fitted beside.
+pub(super) struct Contest<'c, 'a> {
+    measured: &'c Measured<'a>,
+    /// A part of the steps.
+    some: Measured<'a>,
+    from: &'c Trial,
+    scales: &'c Scales,
+    /// How many residuals count as one independent one.
+    colour: f64,
+}
+
+/// A start after a short fit.
+pub(super) struct Entrant {
+    spec: ModelSpec,
+    numbers: Numbers,
+    short: Laid,
+    /// Nats behind the best of all.
+    behind: f64,
+    /// It does not catch up with the best, or brings nothing.
+    hopeless: bool,
+}
+
+impl Entrant {
+    fn name(&self) -> Option<&str> {
+        self.spec.effects.last().map(|effect| effect.name.as_str())
+    }
+
+    /// Whether a full fit may bring anything.
+    pub(super) fn is_hopeful(&self) -> bool {
+        !self.hopeless
+    }
+}
+
+/// Nats of a cost over a part of the steps.
+fn nats(cost: f64, colour: f64) -> f64 {
+    0.5 * HALF as f64 * cost / colour
+}
+
+impl<'c, 'a> Contest<'c, 'a> {
+    pub(super) fn new(measured: &'c Measured<'a>, from: &'c Trial, scales: &'c Scales, colour: f64) -> Self {
+        Self { measured, some: measured.every(HALF), from, scales, colour: colour.max(1.0) }
+    }
+
+    fn fit(
+        &self,
+        measured: &Measured<'_>,
+        start: &ModelSpec,
+        settings: Settings,
+        until: Until<'_>,
+    ) -> Option<Entrant> {
+        let refit = &self.from.refit;
+        let mut numbers = refit.numbers.clone();
+        numbers.add_effect(start, start.effects.len() - 1, self.scales);
+        numbers.start_from(start);
+        let short = measured.fit_up_to(start, &numbers, (refit.zero_m, None), settings, until)?;
+        let mut spec = start.clone();
+        numbers.put(&short.values, &mut spec).then_some(Entrant {
+            spec,
+            numbers,
+            short,
+            behind: 0.0,
+            hopeless: false,
+        })
+    }
+
+    /// What the model itself comes to in short, where that tells what an effect beside another may bring: little is left there.
+    fn without(&self) -> Option<f64> {
+        let Refit { spec, numbers, zero_m, .. } = &self.from.refit;
+        if self.from.names.is_empty() || self.from.is_far() {
+            return None;
+        }
+        let mut numbers = numbers.clone();
+        numbers.start_from(spec);
+        Some(self.some.fit(spec, &numbers, *zero_m, None, SORTED_OUT)?.total())
+    }
+
+    /// Fits all starts in short: the best of each effect, best first, and the others.
+    pub(super) fn in_short(&self, starts: &[ModelSpec]) -> (Vec<Entrant>, Vec<Entrant>) {
+        let Some((first, rest)) = starts.split_first() else { return (Vec::new(), Vec::new()) };
+        let short = |start: &ModelSpec, until| self.fit(&self.some, start, SORTED_OUT, until);
+        // The first one before the others: what is far behind that and promises no more is given up.
+        let mut tried: Vec<Entrant> = short(first, Until::default()).into_iter().collect();
+        let hopeless = HOPELESS / nats(1.0, self.colour);
+        let beyond = tried.first().map_or(f64::INFINITY, |first| first.short.total() + hopeless);
+        let until = Until { beyond, known: None };
+        tried.extend(
+            parallel::map(rest, parallel::cores(), |start| short(start, until)).into_iter().flatten(),
+        );
+        tried.sort_by(|a, b| a.short.total().total_cmp(&b.short.total()));
+        let least = tried.first().map_or(0.0, |first| first.short.total());
+        let without = self.without();
+        for of in &mut tried {
+            let (total, promised) = (of.short.total(), of.short.promised());
+            of.behind = nats(total - least, self.colour);
+            // One that is a good way behind and promises no more does not catch up.
+            let settled = of.behind - PROMISED * 0.5 * HALF as f64 * promised;
+            let brings =
+                without.map_or(f64::INFINITY, |without| nats(without - total + promised, self.colour));
+            of.hopeless = of.behind > HOPELESS || settled > 0.5 * HOPELESS || brings < PROMISING;
+        }
+        let others = first_of_each(&mut tried, |_| 1, |of| of.spec.effects.last());
+        (tried, others)
+    }
+
+    /// Fits the best of those in full, best first.
+    pub(super) fn in_full(&self, mut tried: Vec<Entrant>) -> Vec<Trial> {
+        let within = |nats: f64| tried.iter().take_while(|of| of.behind < nats).count();
+        let (mut near, hopeful) = (within(NEARBY), within(HOPELESS));
+        // Beside an effect a long record leaves so little that a short fit sorts them out; where much is left, most of them do nothing
+        // about it, and what is left is no noise that nats could be counted over.
+        if !self.from.names.is_empty() {
+            near = match (self.measured.is_long(), self.from.is_far()) {
+                (true, _) => near.min(REFINED),
+                (false, true) => near.min(REFINED_FAR_OFF),
+                (false, false) => near,
+            };
+        }
+        tried.truncate(near.max(hopeful.clamp(REFUSED, REFINED)));
+        let Some((first, rest)) = tried.split_first() else { return Vec::new() };
+        let mut finalists: Vec<Trial> = self.arrived(first, Until::default()).into_iter().collect();
+        let beyond = finalists.first().map_or(f64::INFINITY, |best| best.total_behind(HOPELESS));
+        let until = Until { beyond, known: None };
+        let rest = parallel::map(rest, parallel::cores(), |entrant| self.arrived(entrant, until));
+        finalists.extend(rest.into_iter().flatten());
+        best_first(&mut finalists, self.from);
+        finalists
+    }
+
+    /// The other starts of the best finalist, and of those that come near it: a likelihood with several summits.
+    pub(super) fn other_summits(&self, mut others: Vec<Entrant>, finalists: &mut Vec<Trial>) {
+        let Some(best) = finalists.first() else { return };
+        let ended = |entrant: &Entrant| {
+            let near = |trial: &&Trial| verdict::apart(best, trial) < NEARBY;
+            let name = entrant.name()?;
+            finalists.iter().filter(near).find(|trial| verdict::last_name(trial) == name)?.response.as_ref()
+        };
+        // Of friction that falls beside one that does not, the best one alone: it is looked for from there.
+        let falls = verdict::last_name(best) == "coulomb-friction";
+        others.retain(|entrant| {
+            entrant.is_hopeful()
+                && ended(entrant).is_some()
+                && !(falls && entrant.name() == Some("stribeck-friction"))
+        });
+        let others = parallel::map(&others, parallel::cores(), |entrant| {
+            self.arrived(entrant, Until::better_than(&ended(entrant)?.training))
+        });
+        finalists.extend(others.into_iter().flatten());
+        best_first(finalists, self.from);
+    }
+
+    /// A full fit from where a short one ended, judged. Each step's start anew: what the model before had there holds the gap where it
+    /// was.
+    fn arrived(&self, entrant: &Entrant, until: Until<'_>) -> Option<Trial> {
+        let iterations = if entrant.hopeless { FEW_ROUNDS } else { IN_FULL.iterations };
+        let settings = Settings { iterations, ..IN_FULL };
+        let Entrant { spec, numbers, short: laid, .. } =
+            self.fit(self.measured, &entrant.spec, settings, until)?;
+        let mut names = self.from.names.clone();
+        names.push(spec.effects.last()?.name.clone());
+        let refit = Refit { spec, ..self.from.refit.clone() };
+        trial::judge_response(self.measured, &Trial { names, refit, ..self.from.clone() }, numbers, laid)
+    }
+}
+
+/// By what they bring on top of another trial, the best one alone of those with the same effects. Where the response decides, by
+/// what they are behind the one that leaves least: over a model that is far off, a thousandth in how many residuals count as one
+/// is hundreds of nats.
+pub(super) fn best_first(trials: &mut Vec<Trial>, from: &Trial) {
+    let cost = |trial: &Trial| {
+        trial.response.as_ref().map_or(f64::INFINITY, |r| r.training.total() + r.held_out.cost)
+    };
+    let least = trials.iter().min_by(|a, b| cost(a).total_cmp(&cost(b))).filter(|t| t.response.is_some());
+    let beside = least.cloned();
+    let brings = |trial: &Trial| verdict::apart(trial, beside.as_ref().unwrap_or(from));
+    trials.sort_by(|a, b| brings(b).total_cmp(&brings(a)));
+    let mut seen: Vec<Vec<String>> = Vec::with_capacity(trials.len());
+    trials.retain(|trial| {
+        let mut effects = trial.names.clone();
+        effects.sort();
+        let new = !seen.contains(&effects);
+        seen.push(effects);
+        new
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnose::candidates;
+    use crate::diagnose::search::{Effort, Searcher};
+    use crate::diagnose::testing::seen;
+    use crate::identify::kinematics::Tolerances;
+    use crate::identify::motion::Motion;
+    use crate::model::testing::{b1_g2, effect};
+
+    /// Names of the starts beside Coulomb's friction that a short fit leaves hopeful.
+    fn hopeful(hidden: &[(&str, &[(&str, f64)])]) -> Vec<String> {
+        let mut truth = b1_g2();
+        truth.effects.extend(hidden.iter().map(|(name, of)| effect(name, of)));
+        let motion = Motion::of(&seen(&truth, 36), 500.0, Tolerances::default()).expect("a motion");
+        let searcher = Searcher::new(&motion, &b1_g2(), Effort::default());
+        let (base, measured) =
+            (searcher.base(&b1_g2()).expect("fits"), searcher.measured.as_ref().expect("seen"));
+        let scales = candidates::scales(&base.refit.spec, &motion);
+        let start = candidates::beside(&base.refit.spec, &effect("coulomb-friction", &[("fc_n", 10.0)]));
+        let colour = |trial: &Trial| trial.response.as_ref().expect("responds").colour();
+        let first = Contest::new(measured, &base, &scales, colour(&base));
+        let from = first.in_full(first.in_short(&[start]).0).remove(0);
+        assert_eq!(from.names, ["coulomb-friction"]);
+        let beside = Contest::new(measured, &from, &scales, colour(&from));
+        let starts = [("cubic-stiffness", "k3_n_m3", 2e5), ("bumper-preload", "f0_n", 1.0)];
+        let starts = starts
+            .map(|(name, of, value)| candidates::beside(&from.refit.spec, &effect(name, &[(of, value)])));
+        let (tried, _) = beside.in_short(&starts);
+        assert_eq!(tried.len(), 2);
+        tried.iter().filter(|of| of.is_hopeful()).filter_map(|of| Some(of.name()?.to_owned())).collect()
+    }
+
+    #[test]
+    fn beside_an_effect_that_explains_all_a_short_fit_tells_what_brings_nothing() {
+        let friction: (&str, &[(&str, f64)]) = ("coulomb-friction", &[("fc_n", 12.0)]);
+        assert_eq!(hopeful(&[friction]), Vec::<String>::new());
+        let both = [friction, ("cubic-stiffness", &[("k3_n_m3", 2e6)])];
+        assert!(hopeful(&both).contains(&"cubic-stiffness".to_owned()));
+    }
+}
