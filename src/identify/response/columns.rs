@@ -4,6 +4,7 @@
 use super::descent::Fitted;
 use super::tangent::is_piecewise_linear;
 use super::{COMMON, HUBER, Measured, OVER, Simulated, Specimens, Step, slopes};
+use crate::identify::least_squares::Free;
 use std::sync::Arc;
 
 /// Differences for a slope along a nuisance, over its prior deviation, and along a number, over its scale, where the solver is exact:
@@ -129,19 +130,24 @@ impl Measured<'_> {
                 let within = (free.bounds.0..=free.bounds.1).contains(&at[j]);
                 (within && fitted.numbers.put(&at, &mut spec)).then(|| self.specimens(&spec)).flatten()
             };
-            let (share, deviations, most) = match (exact, fitted.fine) {
-                (true, _) => (SMALL[1], 0.0, 1),
-                (false, false) => (COARSE, WIDE[0], 1),
-                (false, true) => (TO_BOTH_SIDES[1], WIDE[1], 2),
-            };
-            // Where the record tells a number far better than its scale, errors of the solver would be much of a narrower difference.
-            let known = fitted.deviations.get(j).copied().unwrap_or(0.0);
-            let h = (share * free.scale).max((deviations * known).min(WIDEST * free.scale));
+            let most = if !exact && fitted.fine { 2 } else { 1 };
+            let h = difference(free, exact, fitted.fine, fitted.deviations.get(j).copied().unwrap_or(0.0));
             let sides = [h, -h].into_iter().filter_map(|h| Some((specimens(h)?, h))).take(most).collect();
             moved.push(Moved { sides });
         }
         Some(Job { values, moving: fitted.moving, moved, own: self.specimens(&fitted.spec)?, exact })
     }
+}
+
+/// Difference for a slope along a number whose standard deviation is known so far: where the record tells it far better than its scale,
+/// errors of the solver would be much of a narrower one.
+pub(super) fn difference(free: &Free, exact: bool, fine: bool, deviation: f64) -> f64 {
+    let (share, deviations) = match (exact, fine) {
+        (true, _) => (SMALL[1], 0.0),
+        (false, false) => (COARSE, WIDE[0]),
+        (false, true) => (TO_BOTH_SIDES[1], WIDE[1]),
+    };
+    (share * free.scale).max((deviations * deviation).min(WIDEST * free.scale))
 }
 
 /// What slopes are taken with.

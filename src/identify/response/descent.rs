@@ -1,7 +1,7 @@
 //! Damped Gauss-Newton on the response: the nuisances of each step are eliminated from the normal equations, which therefore stay
 //! as small as the model. Called for every fit and every judgement by the response.
 
-use super::columns::Job;
+use super::columns::{Job, difference};
 use super::tangent::is_piecewise_linear;
 use super::until::{Course, Until};
 use super::{COMMON, Laid, Measured, Nuisances, Step, robust};
@@ -30,7 +30,7 @@ const SAME: f64 = 1.0;
 /// Damping of a first step, and the one at which coarse slopes lead no farther.
 const UNDAMPED: f64 = 1e-4;
 const STALLED: f64 = 1.0;
-/// How much larger a deviation is by better slopes when these are taken again, and how often at most.
+/// How much wider a difference becomes by better slopes when these are taken again, and how often at most.
 const GROWN: f64 = 1.2;
 const AGAIN: usize = 3;
 /// Damping of a step that was too long before, and how many times as far it goes on from there while the cost falls.
@@ -237,8 +237,16 @@ impl<'a> Measured<'a> {
             let covariance = least_squares::covariance(&system.normal, fitted.free, 1.0);
             let now = covariance.diagonal().iter().map(|variance| variance.max(0.0).sqrt()).collect();
             let before = std::mem::replace(&mut fitted.deviations, now);
-            let grown = |(now, before): (&f64, &f64)| *now > GROWN * before;
-            if !fitted.fine || !fitted.deviations.iter().zip(&before).any(grown) {
+            // Where a wider difference has it smaller again, the two would take turns for ever.
+            if fitted.fine {
+                fitted.deviations.iter_mut().zip(&before).for_each(|(now, before)| *now = now.max(*before));
+            }
+            let wider = |((free, now), before): ((&Free, &f64), &f64)| {
+                let [now, before] = [now, before].map(|known| difference(free, false, fitted.fine, *known));
+                now > GROWN * before
+            };
+            let each = fitted.free.iter().zip(&fitted.deviations).zip(&before);
+            if !fitted.fine || !each.take(self.of_model(&at.values)).any(wider) {
                 break;
             }
             system = self.linearise(fitted, &at.values, &at.nuisances, &at.steps, Some(system))?;
