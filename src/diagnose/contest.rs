@@ -109,18 +109,12 @@ impl<'c, 'a> Contest<'c, 'a> {
 
     /// Fits all starts in short: the best of each effect, best first, and the others.
     pub(super) fn in_short(&self, starts: &[ModelSpec]) -> (Vec<Entrant>, Vec<Entrant>) {
-        let Some((first, rest)) = starts.split_first() else { return (Vec::new(), Vec::new()) };
-        let short = |start: &ModelSpec, until| self.fit(&self.some, start, SORTED_OUT, until);
-        // The first one before the others: what is far behind that and promises no more is given up.
-        let mut tried: Vec<Entrant> = short(first, Until::default()).into_iter().collect();
-        let hopeless = HOPELESS / nats(1.0, self.colour);
-        let beyond = tried.first().map_or(f64::INFINITY, |first| first.short.total() + hopeless);
-        let until = Until { beyond, known: None };
-        tried.extend(
-            parallel::map(rest, parallel::cores(), |start| short(start, until)).into_iter().flatten(),
-        );
+        // None is given up: far off, what a start promises at first says little of where it leads.
+        let short = |start: &ModelSpec| self.fit(&self.some, start, SORTED_OUT, Until::default());
+        let tried = parallel::map(starts, parallel::cores(), short);
+        let mut tried: Vec<Entrant> = tried.into_iter().flatten().collect();
         tried.sort_by(|a, b| a.short.total().total_cmp(&b.short.total()));
-        let least = tried.first().map_or(0.0, |first| first.short.total());
+        let Some(least) = tried.first().map(|first| first.short.total()) else { return (tried, Vec::new()) };
         let without = self.without();
         for of in &mut tried {
             let (total, promised) = (of.short.total(), of.short.promised());
