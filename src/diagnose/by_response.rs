@@ -63,13 +63,12 @@ impl Searcher<'_> {
             return None;
         }
         let training = &from.response.as_ref()?.training;
-        let (mut spec, mut numbers) = (best.refit.spec.clone(), from.refit.numbers.clone());
+        let mut spec = best.refit.spec.clone();
         spec.effects.pop();
-        numbers.start_from(&spec);
         let start = Trial { refit: Refit { spec, ..from.refit.clone() }, ..from.clone() };
         let settings = Settings { iterations: 20, ..Settings::default() };
-        let (spec, until) = (&start.refit.spec, Until::better_than(training));
-        let again = measured.fit_up_to(spec, &numbers, (from.refit.zero_m, None), settings, until)?;
+        let until = Until::better_than(training);
+        let (numbers, again) = trial::fit_response(measured, &start, None, settings, until)?;
         let better = training.total() - again.total() > 2.0 * BETTER;
         if better { trial::judge_response(measured, &start, numbers, again) } else { None }
     }

@@ -120,7 +120,7 @@ impl<'c, 'a> Contest<'c, 'a> {
             let (total, promised) = (of.short.total(), of.short.promised());
             of.behind = nats(total - least, self.colour);
             // One that is a good way behind and promises no more does not catch up.
-            let settled = of.behind - PROMISED * 0.5 * HALF as f64 * promised;
+            let settled = of.behind - nats(PROMISED * promised, 1.0);
             let brings =
                 without.map_or(f64::INFINITY, |without| nats(without - total + promised, self.colour));
             of.hopeless = of.behind > HOPELESS || settled > 0.5 * HOPELESS || brings < PROMISING;
@@ -146,7 +146,7 @@ impl<'c, 'a> Contest<'c, 'a> {
         let Some((first, rest)) = tried.split_first() else { return Vec::new() };
         let mut finalists: Vec<Trial> = self.arrived(first, Until::default()).into_iter().collect();
         let beyond = finalists.first().map_or(f64::INFINITY, |best| best.total_behind(HOPELESS));
-        let until = Until { beyond, known: None };
+        let until = Until::below(beyond);
         let rest = parallel::map(rest, parallel::cores(), |entrant| self.arrived(entrant, until));
         finalists.extend(rest.into_iter().flatten());
         best_first(&mut finalists, self.from);

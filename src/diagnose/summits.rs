@@ -37,12 +37,9 @@ impl Searcher<'_> {
                 return None;
             }
             let (shaped, without) = (with_shape(trial, scales)?, &trial.response.as_ref()?.training);
-            let Refit { spec, zero_m, .. } = &shaped.refit;
-            let mut numbers = shaped.refit.numbers.clone();
-            numbers.start_from(spec);
             // From where it is; given up where it does not pay.
-            let until = Until { beyond: without.total() - 2.0 * WORTH, known: None };
-            let laid = measured.fit_up_to(spec, &numbers, (*zero_m, Some(without)), OF_SHAPE, until)?;
+            let until = Until::below(without.total() - 2.0 * WORTH);
+            let (numbers, laid) = trial::fit_response(measured, &shaped, Some(without), OF_SHAPE, until)?;
             let shaped = trial::judge_response(measured, &shaped, numbers, laid)?;
             (verdict::apart(&shaped, trial) > WORTH).then_some(shaped)
         };

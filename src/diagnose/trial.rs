@@ -5,7 +5,7 @@ use crate::identify::least_squares::Settings;
 use crate::identify::numbers::Numbers;
 use crate::identify::problem::{Part, Problem};
 use crate::identify::refit::{Domain, Refit, inflation, refit};
-use crate::identify::response::{Laid, Left, Measured};
+use crate::identify::response::{Laid, Left, Measured, Until};
 use crate::model::{EffectSpec, ModelSpec, Scales};
 use crate::record::Kind;
 
@@ -134,10 +134,22 @@ pub fn respond(
     from: Option<&Laid>,
     settings: Settings,
 ) -> Option<Trial> {
+    let (numbers, training) = fit_response(measured, trial, from, settings, Until::default())?;
+    judge_response(measured, trial, numbers, training)
+}
+
+/// The same, not judged yet, and given up where it is not worth going on.
+pub fn fit_response(
+    measured: &Measured<'_>,
+    trial: &Trial,
+    from: Option<&Laid>,
+    settings: Settings,
+    until: Until<'_>,
+) -> Option<(Numbers, Laid)> {
     let (spec, mut numbers) = (&trial.refit.spec, trial.refit.numbers.clone());
     numbers.start_from(spec);
-    let training = measured.fit(spec, &numbers, trial.refit.zero_m, from, settings)?;
-    judge_response(measured, trial, numbers, training)
+    let training = measured.fit_up_to(spec, &numbers, (trial.refit.zero_m, from), settings, until)?;
+    Some((numbers, training))
 }
 
 /// Judges what was fitted by the response.

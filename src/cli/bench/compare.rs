@@ -1,8 +1,9 @@
 //! `bench compare`: the parts of a comparison of a whole sweep, with the record in memory.
 
+use super::PAPERS_MODEL;
+use crate::cli::reading::read_model;
 use crate::cli::{CliError, Outcome};
 use crate::compare::{compare, noise_floor, windows};
-use crate::config::{ConfigError, builtin::find};
 use crate::model::{ModelSpec, Options, build, simulate_sweep};
 use crate::record::{Kind, Record, quality};
 use crate::report::comparison;
@@ -20,8 +21,7 @@ const REPEATS: usize = 5;
 /// # Errors
 /// [`CliError::Usage`] when a configuration is refused.
 pub fn execute(json: bool) -> Result<Outcome, CliError> {
-    let usage = |error: ConfigError| CliError::Usage(error.into());
-    let model: ModelSpec = find("models", "andreaus-2020-b1-g2").and_then(|s| s.parse()).map_err(usage)?;
+    let model = read_model(PAPERS_MODEL)?;
     let record = sweep(&model)?;
     let compared = compare(&record, &model).map_err(CliError::failed)?;
     let mut specimen = build(&model, 1.0 / SAMPLE_RATE_HZ).map_err(CliError::usage)?;

@@ -1,10 +1,11 @@
 //! `bench diagnose`: a whole sweep through the whole catalogue, and how long each part of it takes.
 
+use super::PAPERS_MODEL;
 use super::compare::sweep;
+use crate::cli::reading::read_model;
 use crate::cli::{CliError, Outcome};
-use crate::config::{ConfigError, builtin::find};
 use crate::diagnose::{Options, diagnose, parts};
-use crate::model::{ModelSpec, Scales, effects};
+use crate::model::{Scales, effects};
 use crate::units::SAMPLE_RATE_HZ;
 use serde_json::{Map, Value};
 use std::sync::{Arc, Mutex};
@@ -27,10 +28,9 @@ pub struct DiagnoseArgs {
 }
 
 /// Seconds of every part, in the order in which they first ended.
-#[derive(Default)]
 struct Watch {
     times: Vec<(String, f64)>,
-    last: Option<Instant>,
+    last: Instant,
 }
 
 /// Adds up what the parts of a diagnosis take.
@@ -45,7 +45,7 @@ impl<S: tracing::Subscriber> Layer<S> for Listener {
         event.record(&mut part);
         let Ok(mut watch) = self.0.lock() else { return };
         let now = Instant::now();
-        let seconds = watch.last.replace(now).map_or(0.0, |last| (now - last).as_secs_f64());
+        let seconds = (now - std::mem::replace(&mut watch.last, now)).as_secs_f64();
         match watch.times.iter_mut().find(|(name, _)| *name == part.0) {
             Some((_, sum)) => *sum += seconds,
             None => watch.times.push((part.0, seconds)),
@@ -69,8 +69,7 @@ impl Visit for Part {
 /// # Errors
 /// [`CliError::Usage`] for an effect that is not in the catalogue; a diagnosis that fails.
 pub fn execute(args: &DiagnoseArgs, json: bool) -> Result<Outcome, CliError> {
-    let usage = |error: ConfigError| CliError::Usage(error.into());
-    let model: ModelSpec = find("models", "andreaus-2020-b1-g2").and_then(|s| s.parse()).map_err(usage)?;
+    let model = read_model(PAPERS_MODEL)?;
     let scales = Scales::of_spec(&model, 1.0 / SAMPLE_RATE_HZ);
     let mut told = Vec::new();
     for name in &args.effects {
@@ -79,11 +78,9 @@ pub fn execute(args: &DiagnoseArgs, json: bool) -> Result<Outcome, CliError> {
             specimen.effects.push(effects::find(name).map_err(CliError::usage)?.starting_spec(&scales));
         }
         let record = sweep(&specimen)?;
-        let watch = Arc::new(Mutex::new(Watch { last: Some(Instant::now()), ..Watch::default() }));
+        let watch = Arc::new(Mutex::new(Watch { times: Vec::new(), last: Instant::now() }));
         let subscriber = tracing_subscriber::registry().with(Listener(Arc::clone(&watch)));
-        let begun = Instant::now();
         let found = with_default(subscriber, || diagnose(&record, &model, &Options::default()));
-        let seconds = begun.elapsed().as_secs_f64();
         let found = found.map_err(CliError::failed)?;
         let said = found.effects.iter().map(|effect| effect.name.as_str()).collect::<Vec<_>>().join(" + ");
         let said = if said.is_empty() { found.verdict.name().to_owned() } else { said };
@@ -93,14 +90,14 @@ pub fn execute(args: &DiagnoseArgs, json: bool) -> Result<Outcome, CliError> {
             figures.insert("hidden".to_owned(), name.clone().into());
             figures.insert("said".to_owned(), said.into());
             figures.insert("samples".to_owned(), record.len().into());
-            figures.insert("diagnose_s".to_owned(), seconds.into());
+            figures.insert("diagnose_s".to_owned(), found.wall_s.into());
             let parts: Map<String, Value> =
                 times.into_iter().map(|(part, seconds)| (part, seconds.into())).collect();
             figures.insert("parts_s".to_owned(), parts.into());
             told.push(Value::Object(figures));
             continue;
         }
-        println!("hidden {name}, said {said}: {} samples, {seconds:.2} s", record.len());
+        println!("hidden {name}, said {said}: {} samples, {:.2} s", record.len(), found.wall_s);
         times.iter().for_each(|(part, seconds)| println!("  {part:<32} {seconds:>6.2}"));
     }
     if json {

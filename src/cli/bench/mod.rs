@@ -16,6 +16,9 @@ use crate::rig::RigSpec;
 use crate::stream::{Depths, split};
 use crate::sweep::{SweepDirection, SweepSpec};
 
+/// The model whose sweep is timed: the paper's, B1-G2.
+const PAPERS_MODEL: &str = "andreaus-2020-b1-g2";
+
 /// Measure the control thread on this machine.
 #[derive(Debug, clap::Args)]
 pub struct Args {

@@ -1,10 +1,9 @@
 //! `bench model`: how long the specimen model takes, by solver and by what is wanted.
 
+use super::PAPERS_MODEL;
+use crate::cli::reading::read_model;
 use crate::cli::{CliError, Outcome};
-use crate::config::{ConfigError, builtin::find};
-use crate::model::{
-    EffectSpec, ModelSpec, Options, SweepHistory, build, simulate_sweep, sweep_history, sweep_peaks,
-};
+use crate::model::{EffectSpec, Options, SweepHistory, build, simulate_sweep, sweep_history, sweep_peaks};
 use crate::sweep::{Schedule, SweepSpec, Transition};
 use crate::units::SAMPLE_RATE_HZ;
 use std::hint::black_box;
@@ -18,8 +17,7 @@ const REPEATS: usize = 5;
 /// # Errors
 /// [`CliError::Usage`] when a configuration is refused.
 pub fn execute(json: bool) -> Result<Outcome, CliError> {
-    let usage = |error: ConfigError| CliError::Usage(error.into());
-    let model: ModelSpec = find("models", "andreaus-2020-b1-g2").and_then(|s| s.parse()).map_err(usage)?;
+    let model = read_model(PAPERS_MODEL)?;
     let mut smooth = model.clone();
     smooth.effects.push(EffectSpec {
         name: "cubic-stiffness".into(),

@@ -103,13 +103,12 @@ impl<'a> Measured<'a> {
             if chords == 0 {
                 let promised = system.promises(free, &at.values, &moved);
                 // One that is far behind and promises no more, or that has slowed down so much, does not catch up.
-                let promises = damping > UNDAMPED || at.total - PROMISED * promised <= fitted.until.beyond;
+                let undamped = damping <= UNDAMPED;
+                let promises = !undamped || at.total - PROMISED * promised <= fitted.until.beyond;
                 if !promises || course.may_come_to() > fitted.until.beyond {
                     break;
                 }
-                if damping <= UNDAMPED
-                    && fitted.until.known.is_some_and(|known| system.leads_to(&moved, known))
-                {
+                if undamped && fitted.until.known.is_some_and(|known| system.leads_to(&moved, known)) {
                     return None;
                 }
                 if promised < SETTLED {
@@ -237,16 +236,17 @@ impl<'a> Measured<'a> {
             let covariance = least_squares::covariance(&system.normal, fitted.free, 1.0);
             let now = covariance.diagonal().iter().map(|variance| variance.max(0.0).sqrt()).collect();
             let before = std::mem::replace(&mut fitted.deviations, now);
-            // Where a wider difference has it smaller again, the two would take turns for ever.
-            if fitted.fine {
-                fitted.deviations.iter_mut().zip(&before).for_each(|(now, before)| *now = now.max(*before));
+            if !fitted.fine {
+                break;
             }
+            // Where a wider difference has it smaller again, the two would take turns for ever.
+            fitted.deviations.iter_mut().zip(&before).for_each(|(now, before)| *now = now.max(*before));
             let wider = |((free, now), before): ((&Free, &f64), &f64)| {
-                let [now, before] = [now, before].map(|known| difference(free, false, fitted.fine, *known));
+                let [now, before] = [now, before].map(|known| difference(free, false, true, *known));
                 now > GROWN * before
             };
             let each = fitted.free.iter().zip(&fitted.deviations).zip(&before);
-            if !fitted.fine || !each.take(self.of_model(&at.values)).any(wider) {
+            if !each.take(self.of_model(&at.values)).any(wider) {
                 break;
             }
             system = self.linearise(fitted, &at.values, &at.nuisances, &at.steps, Some(system))?;

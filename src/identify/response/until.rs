@@ -9,19 +9,24 @@ const BETTER: f64 = 1.0;
 #[derive(Clone, Copy, Debug)]
 pub struct Until<'b> {
     /// Total that it has to come below.
-    pub beyond: f64,
+    pub(super) beyond: f64,
     /// Where another fit of the same numbers ended: it need not be found twice.
-    pub known: Option<&'b Laid>,
+    pub(super) known: Option<&'b Laid>,
 }
 
 impl Default for Until<'_> {
     /// Never.
     fn default() -> Self {
-        Self { beyond: f64::INFINITY, known: None }
+        Self::below(f64::INFINITY)
     }
 }
 
 impl<'b> Until<'b> {
+    /// It has to come below a total.
+    pub fn below(total: f64) -> Self {
+        Self { beyond: total, known: None }
+    }
+
     /// It has to do better than another fit of the same numbers.
     pub fn better_than(known: &'b Laid) -> Self {
         Self { beyond: known.total() - BETTER, known: Some(known) }
