@@ -23,6 +23,8 @@ pub(super) const HOPELESS: f64 = 80.0;
 const FEW_ROUNDS: usize = 2;
 /// Nats that an effect beside another may bring after a short fit, half of what is asked of it, for a full one.
 const PROMISING: f64 = 5.0;
+/// Cost within which two short fits of an effect that promise no more have ended at the same place.
+const ARRIVED: f64 = 1.0;
 /// Nats behind the best within which another start of an effect is worth a fit.
 const NEARBY: f64 = 30.0;
 /// So many of those are refined, and whatever is that near after a short fit, but beside an effect that leaves much so many at most; so
@@ -51,11 +53,19 @@ pub(super) struct Entrant {
     behind: f64,
     /// It does not catch up with the best, or brings nothing.
     hopeless: bool,
+    /// It has arrived where a better start of its effect has.
+    again: bool,
 }
 
 impl Entrant {
     fn name(&self) -> Option<&str> {
         self.spec.effects.last().map(|effect| effect.name.as_str())
+    }
+
+    /// Whether it has come to the same end as another start of its effect: neither leaves less nor promises more.
+    fn has_arrived_with(&self, other: &Self) -> bool {
+        let (one, two) = (&self.short, &other.short);
+        (one.total() - two.total()).abs().max(one.promised()).max(two.promised()) < ARRIVED
     }
 
     /// Whether a full fit may bring anything.
@@ -93,6 +103,7 @@ impl<'c, 'a> Contest<'c, 'a> {
             short,
             behind: 0.0,
             hopeless: false,
+            again: false,
         })
     }
 
@@ -125,7 +136,11 @@ impl<'c, 'a> Contest<'c, 'a> {
                 without.map_or(f64::INFINITY, |without| nats(without - total + promised, self.colour));
             of.hopeless = of.behind > HOPELESS || settled > 0.5 * HOPELESS || brings < PROMISING;
         }
-        let others = first_of_each(&mut tried, |_| 1, |of| of.spec.effects.last());
+        let mut others = first_of_each(&mut tried, |_| 1, |of| of.spec.effects.last());
+        for other in &mut others {
+            other.again =
+                tried.iter().any(|best| best.name() == other.name() && other.has_arrived_with(best));
+        }
         (tried, others)
     }
 
@@ -165,6 +180,7 @@ impl<'c, 'a> Contest<'c, 'a> {
         let falls = verdict::last_name(best) == "coulomb-friction";
         others.retain(|entrant| {
             entrant.is_hopeful()
+                && !entrant.again
                 && ended(entrant).is_some()
                 && !(falls && entrant.name() == Some("stribeck-friction"))
         });

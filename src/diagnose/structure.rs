@@ -100,12 +100,12 @@ impl Basis {
         let mut row = Vec::with_capacity(32);
         let mut at = 0;
         for (k, window) in motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w)) {
-            let mut memory = Memory::default();
+            let mut memory = Memory::new(self, dt);
             let warm = (window.warm_from..window.range.start).step_by(problem.thin);
-            warm.for_each(|n| memory.step(self, motion.displacement_m[n], motion.velocity_m_s[n], dt));
+            warm.for_each(|n| memory.step(motion.displacement_m[n], motion.velocity_m_s[n]));
             for (i, n) in window.range.clone().step_by(problem.thin).enumerate() {
                 let (d, v) = (motion.displacement_m[n], motion.velocity_m_s[n]);
-                memory.step(self, d, v, dt);
+                memory.step(d, v);
                 let weight = problem.weight(k, i);
                 if weight > 0.0 && (at + i) % stride == 0 {
                     row.clear();
@@ -166,22 +166,38 @@ fn knot(place: f64, knots: usize) -> (usize, f64) {
 }
 
 /// States that remember the motion, scaled to 1.
-#[derive(Default)]
 struct Memory {
     /// Relaxing displacement, `u' = v - u / tau`.
     relaxed: [f64; RELAXATIONS.len()],
+    /// What is left of it after a step, and what a velocity of 1 m/s adds in one.
+    relaxing: [(f64, f64); RELAXATIONS.len()],
     /// Play: the displacement less what lies within the width, over the width; a sliding friction element.
     played: [f64; PLAYS.len()],
     last: Option<f64>,
+    displacement_m: f64,
 }
 
 impl Memory {
-    fn step(&mut self, basis: &Basis, d: f64, v: f64, dt: f64) {
-        let x = d / basis.displacement_m;
-        for (u, share) in self.relaxed.iter_mut().zip(RELAXATIONS) {
+    /// At rest, to be stepped by `dt`, s.
+    fn new(basis: &Basis, dt: f64) -> Self {
+        let relaxing = RELAXATIONS.map(|share| {
             let tau = share * basis.period_s;
             let decay = (-dt / tau).exp();
-            *u = *u * decay + v / basis.displacement_m * tau * (1.0 - decay);
+            (decay, tau * (1.0 - decay) / basis.displacement_m)
+        });
+        Self {
+            relaxed: [0.0; RELAXATIONS.len()],
+            relaxing,
+            played: [0.0; PLAYS.len()],
+            last: None,
+            displacement_m: basis.displacement_m,
+        }
+    }
+
+    fn step(&mut self, d: f64, v: f64) {
+        let x = d / self.displacement_m;
+        for (u, (decay, added)) in self.relaxed.iter_mut().zip(self.relaxing) {
+            *u = *u * decay + v * added;
         }
         let moved = x - self.last.unwrap_or(x);
         for (z, width) in self.played.iter_mut().zip(PLAYS) {

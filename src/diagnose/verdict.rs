@@ -7,6 +7,7 @@ use super::trial::{Response, Trial, schwarz_nats};
 use crate::identify::motion::Motion;
 use crate::identify::spectral::stretches_noise_sigma;
 use crate::model::effects::{self, Place};
+use crate::parallel;
 use crate::record::Kind;
 use serde::Serialize;
 
@@ -235,13 +236,16 @@ pub fn decide(search: &Search, searcher: &Searcher<'_>, thresholds: Thresholds) 
         ambiguous_with = rivals;
     }
     let excess = taken.excess();
-    let structure = |trial: &Trial| structure::examine(searcher.problem(), &trial.refit).unwrap_or_default();
-    let of_base = structure(base).explained;
+    let explained =
+        |trial: &&Trial| structure::examine(searcher.problem(), &trial.refit).unwrap_or_default().explained;
+    let examined = if taken.names.is_empty() { vec![base] } else { vec![base, &taken] };
+    let explained = parallel::map(&examined, parallel::cores(), explained);
+    let of_base = explained.first().copied().unwrap_or_default();
     // Where the flexible model sees most of what the base lacks, what it still sees is what is left. Where it does not,
     // the covariance of neighbouring residuals has to do.
-    let seen = !taken.names.is_empty() && of_base > 0.5 * base.force.excess;
+    let of_taken = explained.get(1).filter(|_| of_base > 0.5 * base.force.excess);
     let share = taken.share_left(base);
-    let left = if seen { share.min(structure(&taken).explained / of_base.max(1e-300)) } else { share };
+    let left = of_taken.map_or(share, |of_taken| share.min(of_taken / of_base.max(1e-300)));
     let verdict = if taken.response.is_some() {
         by_response(&taken, base, searcher, &ambiguous_with, thresholds)
     } else if taken.names.is_empty() {

@@ -86,9 +86,10 @@ impl Term for SpringPot {
     fn force(&self, at: &Point, state: &[f64], rate: &mut [f64]) -> f64 {
         let v = at.velocity_m_s;
         let mut force = self.stiffness * at.displacement_m + self.damping * v;
-        for i in 0..RATES {
-            rate[i] = v - self.rates[i] * state[i];
-            force += self.weights[i] * state[i];
+        let states = state.iter().zip(&self.rates).zip(&self.weights);
+        for (of, ((u, decay), weight)) in rate.iter_mut().zip(states) {
+            *of = v - decay * u;
+            force += weight * u;
         }
         force
     }
