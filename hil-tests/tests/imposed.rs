@@ -2,11 +2,16 @@
 
 use hil_tests::imposed::{DASHPOT, Rig, SPRING, hysteresis, joint, nominal};
 use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose};
+use shaketable::model::ModelSpec;
 use shaketable::record::Record;
 
 /// What is found where one effect is missing.
 fn found(record: &Record, rig: Rig, name: &str) -> Diagnosis {
-    let found = diagnose(record, &nominal(rig), &Options::default()).expect("a sound record");
+    found_with(record, &nominal(rig), name)
+}
+
+fn found_with(record: &Record, nominal: &ModelSpec, name: &str) -> Diagnosis {
+    let found = diagnose(record, nominal, &Options::default()).expect("a sound record");
     let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
     assert_eq!((found.verdict, named), (Verdict::Missing, vec![name]), "{:?}", found.refused);
     found
@@ -32,6 +37,21 @@ fn play_is_told_alone() {
         assert!((play.value - play_m).abs() < 5e-6, "{play:?}");
         assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
     }
+}
+
+#[test]
+fn what_would_hang_on_a_component_is_no_matter() {
+    // Force over another mass than 1 kg was laid against the force itself.
+    let shape = [("kh_n_m", 2e5), ("dy_m", 1.4e-3), ("n", 1.3), ("gamma", 0.35)];
+    let record = hysteresis(SPRING, shape.map(|(_, value)| value), 4);
+    let heavy = ModelSpec { mass_kg: 750.0, ..nominal(SPRING) };
+    let [light, heavy] =
+        [nominal(SPRING), heavy].map(|nominal| found_with(&record, &nominal, "bouc-wen-hysteresis"));
+    for (name, light) in &light.effects[0].parameters {
+        let told = &heavy.effects[0].parameters[name];
+        assert!((told.value / light.value - 1.0).abs() < 1e-3, "{name}: {told:?}, {light:?}");
+    }
+    assert!((heavy.error_after / light.error_after - 1.0).abs() < 1e-3);
 }
 
 #[test]

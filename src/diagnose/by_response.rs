@@ -43,7 +43,7 @@ const MERGED: f64 = 20.0;
 const HEARD_ANEW: usize = 6;
 /// Deviations of its prior that a number of the model is from where it was given when it makes up for something; and the share of
 /// its prior's width that it is then left.
-const ASTRAY: f64 = 5.0;
+pub(super) const ASTRAY: f64 = 5.0;
 const HELD: f64 = 0.01;
 /// Share of the largest displacement at which a knee beyond it is tried, if that is within so many deviations of its prior.
 const JUST: f64 = 0.985;

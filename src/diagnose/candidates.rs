@@ -57,7 +57,7 @@ pub fn shapes(name: &str) -> &'static [(&'static str, (f64, f64))] {
 pub fn scales(spec: &ModelSpec, motion: &Motion) -> Scales {
     let mut scales = Scales::of_spec(spec, motion.dt_s());
     let peak = |x: &[f64]| 1.5 * motion.rms(x).max(1e-300);
-    scales.mass_kg = if motion.kind == Kind::Component { 1.0 } else { spec.mass_kg };
+    scales.mass_kg = spec.mass_kg;
     scales.displacement_m = peak(&motion.displacement_m);
     scales.velocity_m_s = peak(&motion.velocity_m_s);
     scales.acceleration_m_s2 = peak(&motion.restoring_m_s2);

@@ -1,5 +1,6 @@
 //! The whole diagnosis of one record: instruments, re-identification, search, verdict.
 
+use super::by_response::ASTRAY;
 use super::instruments::{self, Finding};
 use super::missing_force;
 use super::next_test::{self, Reach};
@@ -9,7 +10,9 @@ use super::search::{Effort, Search, Searcher};
 use super::trial::{self, Response, Trial};
 use super::verdict::{self, Decision, Refused, Thresholds, Verdict};
 use crate::identify::kinematics::Tolerances;
+use crate::identify::least_squares::Free;
 use crate::identify::motion::{Motion, MotionError};
+use crate::identify::numbers::Number;
 use crate::identify::problem::{OutputError, Part, Problem};
 use crate::identify::refit::Refit;
 use crate::identify::response::Measured;
@@ -244,7 +247,7 @@ impl Composer<'_> {
             ladder,
             reidentified: self.reidentified(&chosen.refit),
             not_identifiable: self.not_identifiable(&chosen.refit),
-            notes: self.notes(findings, notes),
+            notes: self.notes(findings, [notes, self.astray(&chosen.refit)].concat()),
             share_left: left,
             structure_left: chosen.response.as_ref().map(Response::excess),
             wall_s: 0.0,
@@ -400,6 +403,24 @@ impl Composer<'_> {
             }
         }
         out
+    }
+
+    /// What is to be said of numbers of the model that went far from where its file has them: a guess that is held too tightly leaves a
+    /// misfit that effects stand in for.
+    fn astray(&self, refit: &Refit) -> Vec<String> {
+        let told = |(number, free): (&Number, &Free)| {
+            let (given, sigma) = free.prior;
+            let (value, ..) = refit.interval(&number.key)?;
+            let deviations = (value - given).abs() / sigma;
+            let own = self.nominal.get(&number.key).is_ok();
+            (own && deviations > ASTRAY).then(|| {
+                format!(
+                    "{} goes to {value:.4e}, {deviations:.0} deviations from the {given:.4e} of the model file: if that was a guess, give it a wider `uncertainty` there, or an effect may stand in for what it is held back by",
+                    number.key
+                )
+            })
+        };
+        refit.numbers.numbers.iter().zip(&refit.numbers.free).filter_map(told).collect()
     }
 
     /// What is to be said of the records, and then of the instruments.

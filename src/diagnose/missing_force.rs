@@ -112,7 +112,7 @@ pub fn map(problem: &Problem<'_>, refit: &Refit, part: Part) -> Option<MissingFo
 fn residual(problem: &Problem<'_>, refit: &Refit, part: Part) -> Option<Vec<Sample>> {
     let motion = problem.motion;
     let modelled = problem.restoring(&refit.spec, refit.zero_m, part)?;
-    let mass = if motion.kind == crate::record::Kind::Component { 1.0 } else { refit.spec.mass_kg };
+    let mass = refit.spec.mass_kg;
     let half_gaps: Vec<f64> = motion
         .sources
         .iter()

@@ -29,11 +29,11 @@ const TURNS: [f64; 4] = [3e-3, 1e-2, 3e-2, 0.1];
 
 impl Searcher<'_> {
     /// Lets the shape of the last effect follow, too, where that pays: in those that may be the best then, which bring no more by it than
-    /// the best leaves.
+    /// the best leaves: twice what neighbouring residuals tell of that, which see little of what is slow.
     pub(super) fn shape(&self, measured: &Measured<'_>, finalists: &mut [Trial], scales: &Scales) {
         let Some(best) = finalists.first().cloned() else { return };
         let reshaped = |trial: &Trial| -> Option<Trial> {
-            if verdict::apart(&best, trial) > HOPELESS + best.nats_left() {
+            if verdict::apart(&best, trial) > 2.0 * (HOPELESS + best.nats_left()) {
                 return None;
             }
             let (shaped, without) = (with_shape(trial, scales)?, &trial.response.as_ref()?.training);

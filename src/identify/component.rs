@@ -1,4 +1,5 @@
-//! Records of a component: a motion is imposed on it, the force that takes is measured.
+//! Records of a component: a motion is imposed on it, the force that takes is measured. Nothing moves freely: the model's mass is a
+//! number that force is told over, here as in all other records.
 
 use super::fused::differentiate;
 use super::motion::{Motion, MotionError, channel};
@@ -10,16 +11,16 @@ use crate::record::{Kind, Record};
 /// Share of a component's samples above which those beside jumps count all the same: its noise was told wrong.
 const MOST_JUMPS: f64 = 0.2;
 
-/// The motion that was imposed and the force it took.
-pub(super) fn motion(record: &Record) -> Result<Motion, MotionError> {
+/// The motion that was imposed and the force it took, over the mass of the model.
+pub(super) fn motion(record: &Record, mass_kg: f64) -> Result<Motion, MotionError> {
     let rate = record.sample_rate_hz;
     let displacement = channel(record, &record.displacement_m, "displacement_m")?;
     let force = channel(record, &record.force_n, "force_n")?;
     let laser_noise_m = noise_of_sensor(displacement, rate);
     let fused = differentiate(displacement, laser_noise_m, rate);
     Ok(Motion {
-        restoring_m_s2: force.to_vec(),
-        restoring_noise_m_s2: noise_of_sensor(force, rate),
+        restoring_m_s2: force.iter().map(|f| f / mass_kg).collect(),
+        restoring_noise_m_s2: noise_of_sensor(force, rate) / mass_kg,
         laser_noise_m,
         ..fused.motion(record)
     })

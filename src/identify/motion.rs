@@ -2,7 +2,7 @@
 //!
 //! A record of any kind becomes one thing here: displacement and velocity of the mass with little
 //! noise, and the restoring force over the mass that must have acted (`-A` of a base record,
-//! `F/M - a` of a force record, the force of a component record with unit mass). Laser and
+//! `F/M - a` of a force record, `F/M` of a component record). Laser and
 //! accelerometers are fused: the laser counts below, the twice integrated accelerations above the
 //! frequency where their noises are equal (a Wiener filter, zero phase).
 
@@ -80,7 +80,7 @@ pub struct Motion {
     pub displacement_m: Vec<f64>,
     /// Its rate, m/s.
     pub velocity_m_s: Vec<f64>,
-    /// Restoring force over the mass, m/s2 (component: the force, N). Opposes positive motion.
+    /// Restoring force over the mass, m/s2. Opposes positive motion.
     pub restoring_m_s2: Vec<f64>,
     /// What drives a simulation: the table acceleration that is equivalent to the input, m/s2.
     pub drive_m_s2: Vec<f64>,
@@ -186,7 +186,7 @@ impl Motion {
         let mut motion = match record.kind {
             Kind::Base => base(record, instruments)?,
             Kind::Force => forced(record, mass_kg)?,
-            Kind::Component => component::motion(record)?,
+            Kind::Component => component::motion(record, mass_kg)?,
         };
         motion.mass_kg = mass_kg;
         motion.windows = windows::cut(record, &motion, farthest);
