@@ -30,6 +30,16 @@ fn a_missing_effect_is_named_and_the_held_out_error_falls() {
 }
 
 #[test]
+fn a_hysteresis_that_is_sharper_than_it_is_first_taken_for_is_named_alone() {
+    // Iwan's was far enough ahead of one with the usual sharpness that no other was tried; the pair of both was named.
+    let found = case(10_080_008, &["bouc-wen-hysteresis"], 0.05);
+    let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
+    assert_eq!((found.verdict, named), (Verdict::Missing, vec!["bouc-wen-hysteresis"]));
+    let n = &found.effects[0].parameters["n"];
+    assert!(n.low95 < 1.613 && 1.613 < n.high95, "{n:?}");
+}
+
+#[test]
 fn parameters_that_are_merely_off_are_no_missing_effect() {
     for seed in [5_000_101, 5_000_102] {
         let found = case(seed, &[], 0.0);

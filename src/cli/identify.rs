@@ -4,6 +4,7 @@ use super::reading::ReadArgs;
 use super::{CliError, Outcome};
 use crate::diagnose::out_there::out_there;
 use crate::diagnose::search::{Effort, Searcher};
+use crate::identify::filtered;
 use crate::identify::kinematics::Tolerances;
 use crate::identify::motion::Motion;
 use crate::identify::problem::Part;
@@ -33,6 +34,7 @@ pub struct Args {
 pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let nominal = super::reading::read_model(&args.model)?;
     let record = args.read.open()?;
+    let record = filtered::at_its_rate(&record);
     let motion = Motion::of(&record, nominal.mass_kg, Tolerances::default()).map_err(CliError::failed)?;
     let searcher = Searcher::new(&motion, &nominal, Effort::default());
     let Some(trial) = searcher.base(&nominal) else {

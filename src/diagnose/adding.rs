@@ -6,6 +6,7 @@ use super::out_there::out_there;
 use super::search::{Effort, Searcher};
 use super::trial::{self, Trial};
 use super::{candidates, instruments, verdict};
+use crate::identify::filtered;
 use crate::identify::kinematics::Tolerances;
 use crate::identify::least_squares::Settings;
 use crate::identify::motion::{Motion, MotionError};
@@ -101,6 +102,7 @@ pub fn add(
     if given.name == "expression" && given.parameters.is_empty() {
         return Err(refuse("it has no parameters"));
     }
+    let record = &*filtered::at_its_rate(record);
     let motion = Motion::of(record, nominal.mass_kg, Tolerances::default())?;
     if effect.is_instrument() {
         return instrument(record, nominal, given, &motion);

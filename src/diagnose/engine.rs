@@ -9,6 +9,7 @@ use super::report::{Diagnosis, NamedEffect, ParameterEstimate, Reidentified, Run
 use super::search::{Effort, Search, Searcher};
 use super::trial::{self, Response, Trial};
 use super::verdict::{self, Decision, Refused, Thresholds, Verdict};
+use crate::identify::filtered;
 use crate::identify::kinematics::Tolerances;
 use crate::identify::least_squares::Free;
 use crate::identify::motion::{Motion, MotionError};
@@ -84,6 +85,10 @@ pub fn diagnose_together(
     options: &Options,
 ) -> Result<Diagnosis, DiagnoseError> {
     let begun = Instant::now();
+    let records: Vec<_> = tests.iter().map(|(record, _)| filtered::at_its_rate(record)).collect();
+    let tests: Vec<(&Record, &ModelSpec)> =
+        records.iter().zip(tests).map(|(record, (_, model))| (&**record, *model)).collect();
+    let tests = tests.as_slice();
     let Some((_, nominal)) = tests.first() else {
         return Err(MotionError::TooShort { samples: 0, needed: 1 }.into());
     };

@@ -3,13 +3,10 @@
 
 use super::fused::differentiate;
 use super::motion::{Motion, MotionError, channel};
-use super::response::beside_jumps_of_few_samples;
+use super::response::{MOST_JUMPS, beside_jumps_of_few_samples};
 use super::spectral::noise_of_sensor;
 use crate::model::ModelSpec;
 use crate::record::{Kind, Record};
-
-/// Share of a component's samples above which those beside jumps count all the same: its noise was told wrong.
-const MOST_JUMPS: f64 = 0.2;
 
 /// The motion that was imposed and the force it took, over the mass of the model.
 pub(super) fn motion(record: &Record, mass_kg: f64) -> Result<Motion, MotionError> {
@@ -34,6 +31,7 @@ pub(super) fn beside_jumps(motion: &Motion) -> Vec<bool> {
     }
     let counts = beside_jumps_of_few_samples(&motion.restoring_m_s2, motion.restoring_noise_m_s2);
     let left_out = counts.iter().filter(|counts| !**counts).count();
+    // More than that, and the noise was told wrong.
     if left_out as f64 > MOST_JUMPS * counts.len() as f64 { Vec::new() } else { counts }
 }
 

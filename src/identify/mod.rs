@@ -1,6 +1,7 @@
 //! Fitting a model's parameters to records, with intervals.
 
 mod component;
+pub mod filtered;
 mod fused;
 pub mod kinematics;
 pub mod least_squares;

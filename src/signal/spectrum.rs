@@ -136,6 +136,27 @@ impl Spectrum {
         extended[self.padding..self.padding + self.samples].iter().map(|x| x * scale).collect()
     }
 
+    /// Back to the channel up to a frequency alone, Hz: its samples at about twice that, their rate, Hz, and by how much the first is later
+    /// than the channel's first, s.
+    pub fn up_to(mut self, end_hz: f64) -> (Vec<f64>, f64, f64) {
+        let bins = self.band(0.0, end_hz).end.clamp(2, self.bins.len());
+        let length = 2 * (bins - 1);
+        let ratio = length as f64 / self.length as f64;
+        self.bins.truncate(bins);
+        for end in [0, bins - 1] {
+            self.bins[end].im = 0.0;
+        }
+        let plan = RealFftPlanner::<f64>::new().plan_fft_inverse(length);
+        let mut extended = plan.make_output_vec();
+        let _ = plan.process(&mut self.bins, &mut extended);
+        let scale = 1.0 / self.length as f64;
+        let first = (self.padding as f64 * ratio).ceil() as usize;
+        let last = ((self.padding + self.samples - 1) as f64 * ratio).floor() as usize;
+        let rate_hz = self.sample_rate_hz * ratio;
+        let shift_s = first as f64 / rate_hz - self.padding as f64 / self.sample_rate_hz;
+        (extended[first..=last].iter().map(|x| x * scale).collect(), rate_hz, shift_s)
+    }
+
     /// RMS that white noise of the channel would have over the whole band, judged from the band between two fractions of the Nyquist
     /// frequency, by the median of the bins (lines do not count).
     pub fn white_noise_rms(&self, low: f64, high: f64) -> f64 {
