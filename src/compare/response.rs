@@ -72,6 +72,9 @@ pub struct Measured {
     pub cycle: usize,
 }
 
+/// A table's motion of at least so many samples a cycle loses less than a ten-thousandth between lines.
+const SHORT_CYCLE: usize = 200;
+
 impl Measured {
     /// Takes the channels of a record, by its kind.
     /// # Errors
@@ -111,7 +114,8 @@ impl Measured {
         let cycle = windows.iter().filter(|w| w.frequency_hz.is_some()).map(|w| w.cycle_samples(rate)).min();
         let cycle = cycle.unwrap_or_else(|| typical_cycle(if d.is_empty() { &a } else { &d }));
         let d = if record.kind == Kind::Component { d } else { without_offset(d, notes) };
-        let lines = if record.kind == Kind::Force {
+        let short = record.kind == Kind::Base && cycle < SHORT_CYCLE;
+        let lines = if record.kind == Kind::Force || short {
             // Its sign is the table's.
             let held = if d.is_empty() {
                 0.0
