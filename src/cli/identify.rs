@@ -4,10 +4,10 @@ use super::reading::ReadArgs;
 use super::{CliError, Outcome};
 use crate::diagnose::out_there::out_there;
 use crate::diagnose::search::{Effort, Searcher};
-use crate::identify::filtered;
 use crate::identify::kinematics::Tolerances;
 use crate::identify::motion::Motion;
 use crate::identify::problem::Part;
+use crate::identify::readied;
 use std::path::PathBuf;
 
 /// Re-fit the parameters of a model to a record.
@@ -34,7 +34,7 @@ pub struct Args {
 pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let nominal = super::reading::read_model(&args.model)?;
     let record = args.read.open()?;
-    let record = filtered::at_its_rate(&record);
+    let record = readied(&record);
     let motion = Motion::of(&record, nominal.mass_kg, Tolerances::default()).map_err(CliError::failed)?;
     let searcher = Searcher::new(&motion, &nominal, Effort::default());
     let Some(trial) = searcher.base(&nominal) else {

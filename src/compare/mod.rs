@@ -27,6 +27,7 @@ pub use slices::Slice;
 pub use window::{Window, windows};
 
 use crate::model::{ModelError, ModelSpec};
+use crate::record::mended::mended;
 use crate::record::quality::{self, Finding};
 use crate::record::{Kind, Record};
 use crate::sweep::Direction;
@@ -170,6 +171,7 @@ pub struct Comparison {
 /// [`CompareError`] when the record lacks what its kind needs, the model is refused or diverges.
 pub fn compare(record: &Record, spec: &ModelSpec) -> Result<Comparison, CompareError> {
     check(record)?;
+    let record = &*mended(record);
     std::thread::scope(|scope| {
         let quality = scope.spawn(|| quality::examine(record));
         let mut comparison = judge(record, spec)?;

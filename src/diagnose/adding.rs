@@ -6,11 +6,11 @@ use super::out_there::out_there;
 use super::search::{Effort, Searcher};
 use super::trial::{self, Trial};
 use super::{candidates, instruments, verdict};
-use crate::identify::filtered;
 use crate::identify::kinematics::Tolerances;
 use crate::identify::least_squares::Settings;
 use crate::identify::motion::{Motion, MotionError};
 use crate::identify::problem::{Part, Problem};
+use crate::identify::readied;
 use crate::identify::refit::{Domain, Refit};
 use crate::model::effects::{self, Place};
 use crate::model::{EffectSpec, ModelError, ModelSpec, Scales};
@@ -102,7 +102,7 @@ pub fn add(
     if given.name == "expression" && given.parameters.is_empty() {
         return Err(refuse("it has no parameters"));
     }
-    let record = &*filtered::at_its_rate(record);
+    let record = &*readied(record);
     let motion = Motion::of(record, nominal.mass_kg, Tolerances::default())?;
     if effect.is_instrument() {
         return instrument(record, nominal, given, &motion);

@@ -9,12 +9,12 @@ use super::report::{Diagnosis, NamedEffect, ParameterEstimate, Reidentified, Run
 use super::search::{Effort, Search, Searcher};
 use super::trial::{self, Response, Trial};
 use super::verdict::{self, Decision, Refused, Thresholds, Verdict};
-use crate::identify::filtered;
 use crate::identify::kinematics::Tolerances;
 use crate::identify::least_squares::Free;
 use crate::identify::motion::{Motion, MotionError};
 use crate::identify::numbers::Number;
 use crate::identify::problem::{OutputError, Part, Problem};
+use crate::identify::readied;
 use crate::identify::refit::Refit;
 use crate::identify::response::Measured;
 use crate::identify::together::{Setting, TogetherError};
@@ -85,7 +85,7 @@ pub fn diagnose_together(
     options: &Options,
 ) -> Result<Diagnosis, DiagnoseError> {
     let begun = Instant::now();
-    let records: Vec<_> = tests.iter().map(|(record, _)| filtered::at_its_rate(record)).collect();
+    let records: Vec<_> = tests.iter().map(|(record, _)| readied(record)).collect();
     let tests: Vec<(&Record, &ModelSpec)> =
         records.iter().zip(tests).map(|(record, (_, model))| (&**record, *model)).collect();
     let tests = tests.as_slice();
@@ -432,21 +432,7 @@ impl Composer<'_> {
     fn notes(&self, findings: &[Finding], mut notes: Vec<String>) -> Vec<String> {
         notes.extend(self.options.without.iter().map(|name| format!("{name} was not tried, as asked for")));
         notes.extend(findings.iter().map(|f| format!("{}: {}", f.name, f.text)));
-        if let Some(found) = &self.motion.instruments {
-            let [a, b] = found.accelerometers;
-            notes.push(format!(
-                "instruments: laser gain {:.4}, late by {:.0} us; accelerometer gains {:.4} and {:.4}; table acceleration leaks {:.2} % and {:.2} %; noise {:.4} and {:.4} m/s2, laser {:.1} um (taken out below tolerance)",
-                found.laser_gain.value,
-                1e6 * found.laser_delay_s.value,
-                a.gain.value,
-                b.gain.value,
-                100.0 * a.leak.value,
-                100.0 * b.leak.value,
-                a.noise_m_s2,
-                b.noise_m_s2,
-                1e6 * found.laser_noise_m
-            ));
-        }
+        notes.extend(self.motion.instruments.as_ref().map(|found| found.told(self.motion.kind)));
         let slow = self.searcher.measured.as_ref().map_or(Vec::new(), Measured::slow_noise_hz);
         notes.extend(slow.iter().enumerate().filter(|(_, corner)| **corner > 0.0).map(|(i, corner)| {
             let of = if slow.len() > 1 { format!(" in record {}", i + 1) } else { String::new() };

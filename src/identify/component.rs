@@ -3,7 +3,7 @@
 
 use super::fused::differentiate;
 use super::motion::{Motion, MotionError, channel};
-use super::response::{MOST_JUMPS, beside_jumps_of_few_samples};
+use super::response::{are_too_many, beside_jumps_of_few_samples};
 use super::spectral::noise_of_sensor;
 use crate::model::ModelSpec;
 use crate::record::{Kind, Record};
@@ -30,9 +30,8 @@ pub(super) fn beside_jumps(motion: &Motion) -> Vec<bool> {
         return Vec::new();
     }
     let counts = beside_jumps_of_few_samples(&motion.restoring_m_s2, motion.restoring_noise_m_s2);
-    let left_out = counts.iter().filter(|counts| !**counts).count();
-    // More than that, and the noise was told wrong.
-    if left_out as f64 > MOST_JUMPS * counts.len() as f64 { Vec::new() } else { counts }
+    // Too many, and the noise was told wrong.
+    if are_too_many(&counts) { Vec::new() } else { counts }
 }
 
 /// Change of a component's force over the mass with the velocity at a sample, 1/s: viscous damping, that of a bumper in contact with

@@ -18,7 +18,7 @@ const HIGHEST: f64 = 0.75;
 
 /// A record at the rate that its band needs, with a note, where a filter emptied the top of it in all channels of what answers; the record
 /// itself otherwise, and one of a component, whose force may be as steep as it likes.
-pub fn at_its_rate(record: &Record) -> Cow<'_, Record> {
+pub(super) fn at_its_rate(record: &Record) -> Cow<'_, Record> {
     match filtered_above_hz(record).and_then(|end_hz| thinned(record, end_hz)) {
         Some(thinned) => Cow::Owned(thinned),
         None => Cow::Borrowed(record),

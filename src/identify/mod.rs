@@ -1,7 +1,9 @@
 //! Fitting a model's parameters to records, with intervals.
 
+mod applied;
+mod base;
 mod component;
-pub mod filtered;
+mod filtered;
 mod fused;
 pub mod kinematics;
 pub mod least_squares;
@@ -18,3 +20,14 @@ mod table;
 pub mod together;
 mod weighing;
 mod windows;
+
+use crate::record::{Record, mended::mended};
+use std::borrow::Cow;
+
+/// A record as models are fitted to it: faults of its chain taken out, and at the rate of its band. What was done is in its notes.
+pub fn readied(record: &Record) -> Cow<'_, Record> {
+    match mended(record) {
+        Cow::Borrowed(record) => filtered::at_its_rate(record),
+        Cow::Owned(record) => Cow::Owned(filtered::at_its_rate(&record).into_owned()),
+    }
+}

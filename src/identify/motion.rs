@@ -6,17 +6,12 @@
 //! accelerometers are fused: the laser counts below, the twice integrated accelerations above the
 //! frequency where their noises are equal (a Wiener filter, zero phase).
 
-use super::component;
-use super::fused::{differentiate, fuse, integrate};
-use super::kinematics::{self, Accelerometer, Instruments, Tolerances};
-use super::spectral::{along_straight_lines, held_1_s2, noise_of_sensor};
-use super::table::Table;
+use super::kinematics::{self, Instruments, Tolerances};
+use super::spectral::{along_straight_lines, held_1_s2};
 use super::together::Source;
-use super::windows;
+use super::{applied, base, component, windows};
 use crate::model::ModelSpec;
 use crate::record::{Kind, Record};
-use crate::signal::Spectrum;
-use realfft::num_complex::Complex64;
 use std::ops::Range;
 
 /// A stretch of the record in steady state (or any stretch, where there are no steps).
@@ -143,11 +138,6 @@ const FEW: f64 = 20.0;
 const COARSE: f64 = 2e-3;
 /// A force that is nowhere more than this share of the largest restoring force only hisses.
 const LET_GO: f64 = 0.02;
-/// Noise over the rms of a force from which on the upper part of the spectrum is taken for force, and what its sensor's noise is then
-/// taken to be.
-const FILLED: f64 = 0.3;
-const UNKNOWN: f64 = 2e-3;
-
 impl Motion {
     /// Corrects, fuses and cuts a record.
     ///
@@ -184,8 +174,8 @@ impl Motion {
             return Err(MotionError::TooShort { samples: record.time_s.len(), needed: FEWEST });
         }
         let mut motion = match record.kind {
-            Kind::Base => base(record, instruments)?,
-            Kind::Force => forced(record, mass_kg)?,
+            Kind::Base => base::motion(record, instruments)?,
+            Kind::Force => applied::motion(record, mass_kg, instruments)?,
             Kind::Component => component::motion(record, mass_kg)?,
         };
         motion.mass_kg = mass_kg;
@@ -309,7 +299,7 @@ impl Motion {
 
 /// What is to drive a simulation, as an acceleration of the table (m/s2), so that a force over the mass moves it as it did although a solver
 /// joins samples by lines.
-fn driving(over_mass_m_s2: &[f64], displacement_m: &[f64], rate: f64) -> Vec<f64> {
+pub(super) fn driving(over_mass_m_s2: &[f64], displacement_m: &[f64], rate: f64) -> Vec<f64> {
     let held = held_1_s2(over_mass_m_s2, displacement_m, rate);
     along_straight_lines(over_mass_m_s2, rate, held).into_iter().map(|f| -f).collect()
 }
@@ -333,128 +323,6 @@ pub(super) fn channel<'a>(
     } else {
         Err(MotionError::MissingChannel { kind, channel })
     }
-}
-
-fn base(record: &Record, found: Option<Instruments>) -> Result<Motion, MotionError> {
-    let rate = record.sample_rate_hz;
-    let table = channel(record, &record.table_acceleration_m_s2, "table_acceleration_m_s2")?;
-    let laser = channel(record, &record.relative_displacement_m, "relative_displacement_m").ok();
-    let [first, second] = [&record.mass_acceleration_1_m_s2, &record.mass_acceleration_2_m_s2]
-        .map(|values| channel(record, values, "a mass acceleration").ok());
-    let i = found.clone().unwrap_or_else(|| Instruments::assumed_sound(record));
-    let shifted = |x: &[f64], delay_s: f64| {
-        if delay_s.abs() < 1e-9 {
-            x.to_vec()
-        } else {
-            Spectrum::of(x, rate).multiply(|w| Complex64::from_polar(1.0, w * delay_s)).channel()
-        }
-    };
-    let [a1, a2] = i.accelerometers;
-    // A channel with the corners of impacts rings when it is shifted by a part of a sample: only a
-    // delay that is beyond doubt is taken out.
-    let beyond_doubt = |delay_s: f64, sigma_s: f64| {
-        if delay_s.abs() > (4.0 * sigma_s).max(0.1 / rate) { delay_s } else { 0.0 }
-    };
-    let late = i.accelerometers_late_s();
-    let late = beyond_doubt(late.value, late.sigma);
-    let of_mass = |channel: &[f64], a: Accelerometer| -> Vec<f64> {
-        let both = shifted(channel, late).into_iter().zip(table);
-        both.map(|(seen, table)| (seen - a.leak.value * table) / a.gain.value).collect()
-    };
-    // A channel's noise is scaled along with it.
-    let noise = |a: Accelerometer| (a.noise_m_s2 / a.gain.value).abs();
-    let mass = match (first, second) {
-        (Some(one), Some(two)) => {
-            let both = of_mass(one, a1).into_iter().zip(of_mass(two, a2));
-            Some((
-                both.map(|(one, two)| 0.5 * (one + two)).collect::<Vec<_>>(),
-                0.5 * noise(a1).hypot(noise(a2)),
-            ))
-        }
-        (Some(alone), None) => Some((of_mass(alone, a1), noise(a1))),
-        (None, Some(alone)) => Some((of_mass(alone, a2), noise(a2))),
-        (None, None) => None,
-    };
-    let laser: Option<Vec<f64>> = laser.map(|laser| {
-        let laser = shifted(laser, beyond_doubt(i.laser_delay_s.value, i.laser_delay_s.sigma));
-        laser.into_iter().map(|x| x / i.laser_gain.value).collect()
-    });
-    let laser_noise_m = (i.laser_noise_m / i.laser_gain.value).abs();
-    let both = Table::of(record, i.table_noise_m_s2);
-    let relative =
-        |mass: &[f64]| -> Vec<f64> { mass.iter().zip(&both.acceleration_m_s2).map(|(a, t)| a - t).collect() };
-    let fused = match (&laser, &mass) {
-        (Some(laser), Some((mass, noise))) => {
-            fuse(laser, laser_noise_m, &relative(mass), noise.hypot(i.table_noise_m_s2), rate)
-        }
-        (Some(laser), None) => differentiate(laser, laser_noise_m, rate),
-        (None, Some((mass, noise))) => integrate(&relative(mass), noise.hypot(i.table_noise_m_s2), rate),
-        (None, None) => {
-            return Err(MotionError::MissingChannel {
-                kind: "base",
-                channel: "relative_displacement_m or mass_acceleration_1_m_s2",
-            });
-        }
-    };
-    let sees_acceleration = mass.is_some();
-    // Where no accelerometer is on the mass its acceleration is that of the displacement.
-    let (mass, restoring_noise_m_s2) = mass.unwrap_or_else(|| {
-        let over = fused.acceleration_m_s2.iter().zip(&both.acceleration_m_s2);
-        (over.map(|(a, t)| a + t).collect(), fused.acceleration_noise_m_s2.hypot(i.table_noise_m_s2))
-    });
-    Ok(Motion {
-        restoring_m_s2: mass.iter().map(|a| -a).collect(),
-        drive_m_s2: both.acceleration_m_s2,
-        table_crossover_rad_s: both.crossover_rad_s,
-        table_gain_sigma: both.gain_sigma,
-        laser_m: laser.unwrap_or_default(),
-        sees_acceleration,
-        drive_noise_m_s2: i.table_noise_m_s2,
-        restoring_noise_m_s2,
-        laser_noise_m,
-        instruments: found,
-        ..fused.motion(record)
-    })
-}
-
-fn forced(record: &Record, mass_kg: f64) -> Result<Motion, MotionError> {
-    let rate = record.sample_rate_hz;
-    let force = channel(record, &record.force_n, "force_n")?;
-    let displacement = channel(record, &record.displacement_m, "displacement_m").ok();
-    let acceleration = channel(record, &record.acceleration_m_s2, "acceleration_m_s2").ok();
-    let noise = |x: &[f64]| noise_of_sensor(x, rate);
-    let fused = match (displacement, acceleration) {
-        (Some(d), Some(a)) => fuse(d, noise(d), a, noise(a), rate),
-        (Some(d), None) => differentiate(d, noise(d), rate),
-        (None, Some(a)) => integrate(a, noise(a), rate),
-        (None, None) => {
-            return Err(MotionError::MissingChannel {
-                kind: "force",
-                channel: "displacement_m or acceleration_m_s2",
-            });
-        }
-    };
-    let (seen, noise_acceleration) = match acceleration {
-        Some(a) => (a.to_vec(), noise(a)),
-        None => (fused.acceleration_m_s2.clone(), fused.acceleration_noise_m_s2),
-    };
-    let over_mass: Vec<f64> = force.iter().map(|f| f / mass_kg).collect();
-    // A force that fills the whole band leaves nothing to tell the noise of its sensor by.
-    let drive_noise_m_s2 = match noise(&over_mass) {
-        hiss if hiss < FILLED * rms(&over_mass) => hiss,
-        _ => UNKNOWN * rms(&over_mass),
-    };
-    Ok(Motion {
-        restoring_m_s2: over_mass.iter().zip(&seen).map(|(f, a)| f - a).collect(),
-        drive_m_s2: driving(&over_mass, &fused.displacement_m, rate),
-        seen_drive_m_s2: over_mass.iter().map(|f| -f).collect(),
-        laser_m: displacement.map(<[f64]>::to_vec).unwrap_or_default(),
-        sees_acceleration: acceleration.is_some(),
-        drive_noise_m_s2,
-        restoring_noise_m_s2: drive_noise_m_s2.hypot(noise_acceleration),
-        laser_noise_m: displacement.map(noise).unwrap_or(0.0),
-        ..fused.motion(record)
-    })
 }
 
 #[cfg(test)]

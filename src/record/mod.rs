@@ -5,6 +5,7 @@ pub mod data;
 mod first_out;
 pub mod folder;
 mod kinematic;
+pub mod mended;
 pub mod quality;
 pub mod read;
 pub mod recorder;

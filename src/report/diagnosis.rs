@@ -62,7 +62,7 @@ fn ladder(page: &mut Page, found: &Diagnosis) -> Result<(), ReportError> {
     page.figure(
         &chart,
         "Each step re-fits all numbers of the model. NRMSE: root-mean-square of the simulated response's error over \
-         that of the measurement, A and D together; held-out steps were seen by no fit.",
+         that of the measurement, A and D together (of a component, its force); held-out steps were seen by no fit.",
     )
 }
 

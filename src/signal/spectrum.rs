@@ -125,15 +125,20 @@ impl Spectrum {
 
     /// Back to the channel, padding removed.
     pub fn channel(mut self) -> Vec<f64> {
-        let plan = RealFftPlanner::<f64>::new().plan_fft_inverse(self.length);
+        let range = self.padding..self.padding + self.samples;
+        self.inverse()[range].iter().map(|x| x / self.length as f64).collect()
+    }
+
+    /// Inverse transform of all bins, without its scale.
+    fn inverse(&mut self) -> Vec<f64> {
+        let plan = RealFftPlanner::<f64>::new().plan_fft_inverse(2 * (self.bins.len() - 1));
         // The inverse of a real channel has real ends; rounding may have left an imaginary part.
         for end in [0, self.bins.len() - 1] {
             self.bins[end].im = 0.0;
         }
         let mut extended = plan.make_output_vec();
         let _ = plan.process(&mut self.bins, &mut extended);
-        let scale = 1.0 / self.length as f64;
-        extended[self.padding..self.padding + self.samples].iter().map(|x| x * scale).collect()
+        extended
     }
 
     /// Back to the channel up to a frequency alone, Hz: its samples at about twice that, their rate, Hz, and by how much the first is later
@@ -143,12 +148,7 @@ impl Spectrum {
         let length = 2 * (bins - 1);
         let ratio = length as f64 / self.length as f64;
         self.bins.truncate(bins);
-        for end in [0, bins - 1] {
-            self.bins[end].im = 0.0;
-        }
-        let plan = RealFftPlanner::<f64>::new().plan_fft_inverse(length);
-        let mut extended = plan.make_output_vec();
-        let _ = plan.process(&mut self.bins, &mut extended);
+        let extended = self.inverse();
         let scale = 1.0 / self.length as f64;
         let first = (self.padding as f64 * ratio).ceil() as usize;
         let last = ((self.padding + self.samples - 1) as f64 * ratio).floor() as usize;

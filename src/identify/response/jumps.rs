@@ -11,7 +11,7 @@ const JUMP: f64 = 7.0;
 /// Samples on each side of a jump that do not count.
 const AROUND: usize = 2;
 /// Share of the samples that are beside jumps at most; more is no jumps.
-pub(in crate::identify) const MOST: f64 = 0.2;
+const MOST: f64 = 0.2;
 /// A simulated acceleration that spreading changes by more than this, in units of the noise, has a jump beside it.
 const SPREAD: f64 = 0.2;
 
@@ -107,11 +107,12 @@ pub(in crate::identify) fn beside_jumps_of_few_samples(acceleration: &[f64], noi
 /// second ones stand out of the noise everywhere.
 pub(super) fn beside_jumps(acceleration: &[f64], noise: f64) -> Vec<bool> {
     let counts = beside_bends(acceleration, noise);
-    let left_out = counts.iter().filter(|counts| !**counts).count();
-    if left_out as f64 > MOST * counts.len() as f64 {
-        return beside_jumps_of_few_samples(acceleration, noise);
-    }
-    counts
+    if are_too_many(&counts) { beside_jumps_of_few_samples(acceleration, noise) } else { counts }
+}
+
+/// Whether more samples do not count than there can be beside jumps.
+pub(in crate::identify) fn are_too_many(counts: &[bool]) -> bool {
+    counts.iter().filter(|counts| !**counts).count() as f64 > MOST * counts.len() as f64
 }
 
 fn beside_bends(acceleration: &[f64], noise: f64) -> Vec<bool> {

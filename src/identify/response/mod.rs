@@ -29,7 +29,7 @@ pub use until::Until;
 
 use driven::{Innovations, zero_of_table_m_s2};
 use jumps::beside_jumps;
-pub(super) use jumps::{MOST as MOST_JUMPS, beside_jumps_of_few_samples};
+pub(super) use jumps::{are_too_many, beside_jumps_of_few_samples};
 use slow::Slow;
 use specimens::Specimens;
 

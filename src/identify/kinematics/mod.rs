@@ -4,15 +4,20 @@
 //! accelerometer `D = alpha A + beta a_table`, integrated twice and band-passed alike, is fitted
 //! with a delay of each side; samples near the ends of the record do not count. Gains come out to
 //! about 1e-4 and delays to some microseconds. The common gain of all accelerometers cannot be
-//! told from the laser's.
+//! told from the laser's. Of an applied force, `D'' = A` alone is asked (`applied`).
+
+mod applied;
+mod band;
+
+use band::Band;
 
 use super::least_squares::{self, Free, Settings, dot};
 use super::spectral::noise_of_whole;
 use crate::model::elementary::sin_cos;
 use crate::parallel;
-use crate::record::Record;
+use crate::record::{Kind, Record};
 use crate::signal::Spectrum;
-use nalgebra::{Matrix2, Matrix4, Vector4};
+use nalgebra::{Matrix2, Matrix4, SMatrix, SVector, Vector4};
 use realfft::num_complex::Complex64;
 
 /// What an instrument may deviate before it is a finding (relative half-widths).
@@ -96,6 +101,28 @@ impl Instruments {
         }
     }
 
+    /// The figures in a sentence, for a record of a kind.
+    pub fn told(&self, kind: Kind) -> String {
+        let [a, b] = self.accelerometers;
+        let (gain, late_us) = (self.laser_gain.value, 1e6 * self.laser_delay_s.value);
+        let laser_um = 1e6 * self.laser_noise_m;
+        if kind == Kind::Force {
+            return format!(
+                "instruments: gain of the displacement {gain:.4} and of the acceleration {:.4}, told by their ratio; displacement late by {late_us:.0} us; noise {:.4} m/s2 and {laser_um:.1} um (taken out below tolerance)",
+                a.gain.value, a.noise_m_s2,
+            );
+        }
+        format!(
+            "instruments: laser gain {gain:.4}, late by {late_us:.0} us; accelerometer gains {:.4} and {:.4}; table acceleration leaks {:.2} % and {:.2} %; noise {:.4} and {:.4} m/s2, laser {laser_um:.1} um (taken out below tolerance)",
+            a.gain.value,
+            b.gain.value,
+            100.0 * a.leak.value,
+            100.0 * b.leak.value,
+            a.noise_m_s2,
+            b.noise_m_s2,
+        )
+    }
+
     /// Delay of both accelerometers against the table's, s. Its error is that of the laser and the table, the same in both.
     pub fn accelerometers_late_s(&self) -> Estimate {
         let [one, two] = self.accelerometers.map(|a| a.delay_s);
@@ -106,10 +133,19 @@ impl Instruments {
 /// Two accelerometers that differ by less, over what they show at high frequencies, are one.
 const LEAST: f64 = 0.05;
 
-/// Estimates gains, delays, leaks and noise of a base record.
+/// Estimates gains, delays, leaks and noise of a base record; of one of an applied force, gain and delay of its displacement and its
+/// acceleration against each other.
 ///
-/// `None` when the record is not of that kind or too short to tell.
+/// `None` when the record is of no such kind, lacks one of them or is too short to tell.
 pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
+    match record.kind {
+        Kind::Base => on_a_base(record, tolerances),
+        Kind::Force => applied::examine(record, tolerances),
+        Kind::Component => None,
+    }
+}
+
+fn on_a_base(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
     let n = record.relative_displacement_m.len();
     let rate = record.sample_rate_hz;
     let second = if record.mass_acceleration_2_m_s2.len() == n {
@@ -155,86 +191,6 @@ pub fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
     Some(found)
 }
 
-/// The band in which the relation is tested, and the samples far enough from the ends.
-struct Band {
-    low_rad_s: f64,
-    high_rad_s: f64,
-    interior: std::ops::Range<usize>,
-    stride: usize,
-    /// How many thinned samples count as one independent one: noise has passed the band alone.
-    colour: f64,
-    laser_noise_m: f64,
-    acceleration_noise_m_s2: f64,
-}
-
-impl Band {
-    /// From half the frequency below which 1 % of the motion lies to where the laser's noise
-    /// reaches the motion.
-    fn of(laser: &Spectrum, laser_noise_m: f64, acceleration_noise_m_s2: f64) -> Option<Self> {
-        let power: Vec<f64> = laser.bins.iter().map(|z| z.norm_sqr()).collect();
-        let first = laser.band(0.0, 1e300).start + 2;
-        let floor = 4.0 * laser.bins.len() as f64 * 2.0 * laser_noise_m * laser_noise_m;
-        let total: f64 = power.get(first..)?.iter().filter(|p| **p > floor).sum();
-        let mut sum = 0.0;
-        let mut low = None;
-        let mut high = first;
-        for (bin, p) in power.iter().enumerate().skip(first).filter(|(_, p)| **p > floor) {
-            sum += p;
-            if low.is_none() && sum > 0.01 * total {
-                low = Some(bin);
-            }
-            if sum < 0.9999 * total {
-                high = bin;
-            }
-        }
-        let low_rad_s = 0.5 * laser.omega_rad_s(low?);
-        let high_rad_s = (1.5 * laser.omega_rad_s(high)).max(4.0 * low_rad_s);
-        let edge = (8.0 / low_rad_s * laser.sample_rate_hz()) as usize;
-        let samples = laser.samples();
-        if samples < 3 * edge {
-            return None;
-        }
-        let stride = ((laser.sample_rate_hz() * std::f64::consts::PI / (2.0 * high_rad_s)) as usize).max(1);
-        let nyquist_rad_s = std::f64::consts::PI * laser.sample_rate_hz() / stride as f64;
-        Some(Self {
-            low_rad_s,
-            high_rad_s,
-            colour: (nyquist_rad_s / (high_rad_s - low_rad_s)).max(1.0),
-            interior: edge..samples - edge,
-            stride,
-            laser_noise_m,
-            acceleration_noise_m_s2,
-        })
-    }
-
-    /// High-pass of fourth order (it swallows a double integration) and low-pass, times what makes
-    /// the noise of the relation white with unit variance a sample: 1/m.
-    fn gain(&self, w: f64) -> f64 {
-        let h = (w / self.low_rad_s).powi(4);
-        let density = self.laser_noise_m.powi(2) + (self.acceleration_noise_m_s2 / (w * w)).powi(2);
-        h / (1.0 + h) / (1.0 + (w / self.high_rad_s).powi(8)) / density.sqrt().max(1e-12)
-    }
-
-    /// A channel filtered by the band times a factor, thinned to the interior.
-    fn series(&self, spectrum: &Spectrum, factor: impl Fn(f64) -> Complex64) -> Vec<f64> {
-        let filtered = spectrum
-            .clone()
-            .multiply(|w| if w > 0.0 { factor(w) * self.gain(w) } else { Complex64::ZERO })
-            .channel();
-        filtered[self.interior.clone()].iter().step_by(self.stride).copied().collect()
-    }
-
-    /// What the noise of laser and accelerometers leaves in the filtered relation, rms.
-    fn expected_rms(&self, laser: &Spectrum) -> f64 {
-        let power = |bin: usize| {
-            let w = laser.omega_rad_s(bin);
-            let density = self.laser_noise_m.powi(2) + (self.acceleration_noise_m_s2 / (w * w)).powi(2);
-            self.gain(w).powi(2) * density
-        };
-        ((1..laser.bins.len()).map(power).sum::<f64>() / laser.bins.len() as f64).sqrt()
-    }
-}
-
 /// `D = alpha A(t - dtA) + beta a_table(t - dtT)`, integrated twice, for one accelerometer.
 struct Relation {
     /// alpha and beta with their covariance.
@@ -257,23 +213,11 @@ impl Relation {
         let (mut shift_a, mut shift_t) = (0.0, 0.0);
         let mut last = None;
         for _ in 0..3 {
-            let twice = |shift: f64| {
-                move |w: f64| {
-                    let (sin, cos) = sin_cos(w * shift);
-                    Complex64::new(-cos, sin) / (w * w)
-                }
-            };
-            let rate = |shift: f64| {
-                move |w: f64| {
-                    let (sin, cos) = sin_cos(w * shift);
-                    Complex64::new(-sin, -cos) / w
-                }
-            };
             let columns = [
                 band.series(mass, twice(shift_a)),
                 band.series(table, twice(shift_t)),
-                band.series(mass, rate(shift_a)),
-                band.series(table, rate(shift_t)),
+                band.series(mass, twice_by_shift(shift_a)),
+                band.series(table, twice_by_shift(shift_t)),
             ];
             let (x, covariance, left) = regress(&columns, &d, band.colour)?;
             // A shift by dt is -dt times the derivative.
@@ -297,23 +241,48 @@ impl Relation {
     }
 }
 
-/// Least squares of four columns: coefficients, their covariance, what is left.
-fn regress(
-    columns: &[Vec<f64>; 4],
+/// A channel as it would be had it not been late. One with the corners of impacts rings when it is shifted by a part of a sample: only a delay
+/// that is beyond doubt is taken out.
+pub(super) fn on_time(channel: &[f64], late: Estimate, rate_hz: f64) -> Vec<f64> {
+    if late.value.abs() <= (4.0 * late.sigma).max(0.1 / rate_hz) {
+        return channel.to_vec();
+    }
+    Spectrum::of(channel, rate_hz).multiply(|w| Complex64::from_polar(1.0, w * late.value)).channel()
+}
+
+/// Least squares of a few columns: coefficients, their covariance, what is left.
+fn regress<const N: usize>(
+    columns: &[Vec<f64>; N],
     target: &[f64],
     colour: f64,
-) -> Option<(Vector4<f64>, Matrix4<f64>, Vec<f64>)> {
-    let scale = Vector4::from_fn(|j, _| dot(&columns[j], &columns[j]).sqrt().max(1e-300));
-    let normal = Matrix4::from_fn(|i, j| dot(&columns[i], &columns[j]) / (scale[i] * scale[j]));
-    let right = Vector4::from_fn(|j, _| dot(&columns[j], target) / scale[j]);
+) -> Option<(SVector<f64, N>, SMatrix<f64, N, N>, Vec<f64>)> {
+    let scale = SVector::<f64, N>::from_fn(|j, _| dot(&columns[j], &columns[j]).sqrt().max(1e-300));
+    let normal = SMatrix::<f64, N, N>::from_fn(|i, j| dot(&columns[i], &columns[j]) / (scale[i] * scale[j]));
+    let right = SVector::<f64, N>::from_fn(|j, _| dot(&columns[j], target) / scale[j]);
     let inverse = normal.try_inverse()?;
     let x = (inverse * right).component_div(&scale);
     let left: Vec<f64> = (0..target.len())
         .map(|n| target[n] - columns.iter().zip(x.iter()).map(|(column, x)| x * column[n]).sum::<f64>())
         .collect();
-    let variance = colour * dot(&left, &left) / (target.len() as f64 - 4.0).max(1.0);
-    let covariance = Matrix4::from_fn(|i, j| inverse[(i, j)] * variance / (scale[i] * scale[j]));
+    let variance = colour * dot(&left, &left) / (target.len() as f64 - N as f64).max(1.0);
+    let covariance = SMatrix::from_fn(|i, j| inverse[(i, j)] * variance / (scale[i] * scale[j]));
     Some((x, covariance, left))
+}
+
+/// A channel integrated twice and shifted by a time, s.
+fn twice(shift_s: f64) -> impl Fn(f64) -> Complex64 {
+    move |w: f64| {
+        let (sin, cos) = sin_cos(w * shift_s);
+        Complex64::new(-cos, sin) / (w * w)
+    }
+}
+
+/// What that changes by with the shift.
+fn twice_by_shift(shift_s: f64) -> impl Fn(f64) -> Complex64 {
+    move |w: f64| {
+        let (sin, cos) = sin_cos(w * shift_s);
+        Complex64::new(-sin, -cos) / w
+    }
 }
 
 /// Lays each ratio at a door: `alpha = gL/g_i`, `-beta = gL (1 + leak_i/g_i)`, with the tolerances
@@ -383,7 +352,6 @@ fn whitening(relations: &[Relation; 2]) -> Option<Matrix4<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::Kind;
     use rand::{SeedableRng, prelude::Distribution};
     use std::f64::consts::TAU;
 

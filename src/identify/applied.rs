@@ -1,0 +1,69 @@
+//! Records of an applied force: it drives the mass, whose displacement or acceleration or both are seen.
+
+use super::fused::{differentiate, fuse, integrate};
+use super::kinematics::{Estimate, Instruments, on_time};
+use super::motion::{Motion, MotionError, channel, driving, rms};
+use super::spectral::noise_of_sensor;
+use crate::record::Record;
+
+/// Noise over the rms of a force from which on the upper part of the spectrum is taken for force, and what its sensor's noise is then
+/// taken to be.
+const FILLED: f64 = 0.3;
+const UNKNOWN: f64 = 2e-3;
+
+/// The motion of a mass that a force is applied to, with instruments corrected as they were found.
+pub(super) fn motion(
+    record: &Record,
+    mass_kg: f64,
+    found: Option<Instruments>,
+) -> Result<Motion, MotionError> {
+    let rate = record.sample_rate_hz;
+    let force = channel(record, &record.force_n, "force_n")?;
+    let displacement = channel(record, &record.displacement_m, "displacement_m").ok();
+    let acceleration = channel(record, &record.acceleration_m_s2, "acceleration_m_s2").ok();
+    let noise = |x: &[f64]| noise_of_sensor(x, rate);
+    let sound = |gain: f64, late| (late, gain);
+    let (of_displacement, of_acceleration) =
+        found.as_ref().map_or((sound(1.0, Estimate::default()), 1.0), |i| {
+            (sound(i.laser_gain.value, i.laser_delay_s), i.accelerometers[0].gain.value)
+        });
+    let displacement = displacement.map(|seen| -> Vec<f64> {
+        let (late, gain) = of_displacement;
+        on_time(seen, late, rate).into_iter().map(|x| x / gain).collect()
+    });
+    let acceleration =
+        acceleration.map(|seen| -> Vec<f64> { seen.iter().map(|a| a / of_acceleration).collect() });
+    let fused = match (&displacement, &acceleration) {
+        (Some(d), Some(a)) => fuse(d, noise(d), a, noise(a), rate),
+        (Some(d), None) => differentiate(d, noise(d), rate),
+        (None, Some(a)) => integrate(a, noise(a), rate),
+        (None, None) => {
+            return Err(MotionError::MissingChannel {
+                kind: "force",
+                channel: "displacement_m or acceleration_m_s2",
+            });
+        }
+    };
+    let (seen, noise_acceleration) = match &acceleration {
+        Some(a) => (a.clone(), noise(a)),
+        None => (fused.acceleration_m_s2.clone(), fused.acceleration_noise_m_s2),
+    };
+    let over_mass: Vec<f64> = force.iter().map(|f| f / mass_kg).collect();
+    // A force that fills the whole band leaves nothing to tell the noise of its sensor by.
+    let drive_noise_m_s2 = match noise(&over_mass) {
+        hiss if hiss < FILLED * rms(&over_mass) => hiss,
+        _ => UNKNOWN * rms(&over_mass),
+    };
+    Ok(Motion {
+        restoring_m_s2: over_mass.iter().zip(&seen).map(|(f, a)| f - a).collect(),
+        drive_m_s2: driving(&over_mass, &fused.displacement_m, rate),
+        seen_drive_m_s2: over_mass.iter().map(|f| -f).collect(),
+        sees_acceleration: acceleration.is_some(),
+        drive_noise_m_s2,
+        restoring_noise_m_s2: drive_noise_m_s2.hypot(noise_acceleration),
+        laser_noise_m: displacement.as_deref().map_or(0.0, noise),
+        laser_m: displacement.unwrap_or_default(),
+        instruments: found,
+        ..fused.motion(record)
+    })
+}

@@ -1,0 +1,247 @@
+//! Hum of the mains in a channel: a line at 50 Hz or 60 Hz, or a multiple, that is there from the beginning of the record to its end whatever
+//! the mass does. Its frequency wanders, so that a long record is taken in parts.
+
+use super::rms_about_mean;
+use crate::signal::fundamental_hz;
+use realfft::num_complex::Complex64;
+use std::f64::consts::TAU;
+use std::ops::Range;
+
+/// Frequencies of the mains, Hz, multiples of them that are looked for where they hum, and how far they are off at most, Hz.
+const MAINS_HZ: [f64; 2] = [50.0, 60.0];
+const MULTIPLES: u32 = 4;
+const OFF_HZ: f64 = 0.25;
+/// Highest frequency that is looked at, over the sampling rate.
+const HIGHEST: f64 = 0.45;
+/// Blocks that the band about a line is told by, s, and how many there are in a part of the record at least and at most.
+const BLOCK_S: f64 = 0.5;
+const FEWEST: usize = 16;
+const MOST: usize = 60;
+/// Share of the power in the band of a block that is in the line.
+const COHERENT: f64 = 0.3;
+/// The same in each quarter of a part: amplitude over that of all, and phase from it, rad.
+const ALIKE: Range<f64> = 0.6..1.6;
+const IN_PHASE_RAD: f64 = 0.7;
+/// Amplitude over the rms of the channel from which on it is no hum.
+const LOUDEST: f64 = 0.1;
+/// Share of the power of what was imposed in its largest sine from which on that is a tone.
+const A_TONE: f64 = 0.3;
+/// Share of the parts that have the line.
+const IN_PARTS: f64 = 0.9;
+
+/// A line, part by part.
+#[derive(Clone, Debug)]
+pub(super) struct Line {
+    parts: Vec<Tone>,
+}
+
+#[derive(Clone, Debug)]
+struct Tone {
+    samples: Range<usize>,
+    frequency_hz: f64,
+    /// Real part of it times exp(i w t), from the first sample of the part on, is the tone.
+    phasor: Complex64,
+}
+
+impl Line {
+    /// Mean frequency, Hz.
+    pub(super) fn frequency_hz(&self) -> f64 {
+        self.parts.iter().map(|tone| tone.frequency_hz).sum::<f64>() / self.parts.len() as f64
+    }
+
+    /// Mean amplitude.
+    pub(super) fn amplitude(&self) -> f64 {
+        self.parts.iter().map(|tone| tone.phasor.norm()).sum::<f64>() / self.parts.len() as f64
+    }
+
+    pub(super) fn take_out(&self, channel: &mut [f64], rate_hz: f64) {
+        for tone in &self.parts {
+            let turn = Complex64::from_polar(1.0, TAU * tone.frequency_hz / rate_hz);
+            let mut now = tone.phasor;
+            for x in &mut channel[tone.samples.clone()] {
+                *x -= now.re;
+                now *= turn;
+            }
+        }
+    }
+}
+
+/// The lines of the mains in a channel; `input` is what was imposed, whose harmonics are no hum.
+pub(super) fn find(channel: &[f64], input: &[f64], rate_hz: f64) -> Vec<Line> {
+    let mut out = Vec::new();
+    for mains_hz in MAINS_HZ {
+        for multiple in 1..=MULTIPLES {
+            match line(channel, input, rate_hz, f64::from(multiple) * mains_hz) {
+                Some(line) => out.push(line),
+                None if multiple == 1 => break,
+                None => {}
+            }
+        }
+    }
+    out
+}
+
+fn line(channel: &[f64], input: &[f64], rate_hz: f64, near_hz: f64) -> Option<Line> {
+    let block = (BLOCK_S * rate_hz).round() as usize / 2 * 2;
+    let blocks = (channel.len() / (block / 2).max(1)).saturating_sub(1);
+    if near_hz > HIGHEST * rate_hz || blocks < FEWEST {
+        return None;
+    }
+    let parts = blocks.div_ceil(MOST);
+    let length = channel.len() / parts;
+    let bounds = |part: usize| {
+        let end = if part + 1 == parts { channel.len() } else { (part + 1) * length };
+        part * length..end
+    };
+    let loudest = LOUDEST * rms_about_mean(channel);
+    let tones: Vec<Tone> = (0..parts)
+        .filter_map(|part| {
+            let range = bounds(part);
+            let tone = tone(&channel[range.clone()], block, rate_hz, near_hz)?;
+            let hum = tone.phasor.norm() < loudest
+                && !is_multiple(tone.frequency_hz, input.get(range.clone())?, rate_hz);
+            hum.then_some(Tone { samples: range, ..tone })
+        })
+        .collect();
+    (tones.len() as f64 >= IN_PARTS * parts as f64).then_some(Line { parts: tones })
+}
+
+/// A frequency is a multiple of that of a piece of what was imposed, as well as the piece tells; of no tone there are none.
+fn is_multiple(frequency_hz: f64, input: &[f64], rate_hz: f64) -> bool {
+    let Some(hz) = fundamental_hz(input, rate_hz) else { return false };
+    let off_hz = (frequency_hz / hz).round() * hz - frequency_hz;
+    let turn = Complex64::from_polar(1.0, -TAU * hz / rate_hz);
+    let (mut now, mut along) = (Complex64::ONE, Complex64::ZERO);
+    for x in input {
+        along += now * x;
+        now *= turn;
+    }
+    let share = 2.0 * along.norm_sqr() / (input.len() as f64 * input.iter().map(|x| x * x).sum::<f64>());
+    off_hz.abs() * (input.len() as f64) < rate_hz && share > A_TONE
+}
+
+/// The tone of a piece of a channel near a frequency, if it is there throughout.
+fn tone(x: &[f64], block: usize, rate_hz: f64, near_hz: f64) -> Option<Tone> {
+    // Second differences keep the motion out of the band; each block is tapered (Hann).
+    let turn = Complex64::from_polar(1.0, -TAU * near_hz / rate_hz);
+    let taper: Vec<f64> =
+        (0..block).map(|i| (std::f64::consts::PI * (i as f64 + 0.5) / block as f64).sin().powi(2)).collect();
+    let hop = block / 2;
+    let count = (x.len().checked_sub(2)? / hop).saturating_sub(1);
+    if count < FEWEST {
+        return None;
+    }
+    let mut sums = vec![Complex64::ZERO; count];
+    let mut now = turn;
+    for (n, w) in x.windows(3).enumerate() {
+        let at = now * (w[2] - 2.0 * w[1] + w[0]);
+        now *= turn;
+        let (of, within) = (n / hop, n % hop);
+        if let Some(sum) = sums.get_mut(of) {
+            *sum += at * taper[within];
+        }
+        if of > 0
+            && let Some(sum) = sums.get_mut(of - 1)
+        {
+            *sum += at * taper[within + hop];
+        }
+    }
+    let centre_s = |b: usize| (b * hop + hop) as f64 / rate_hz;
+    let turned = |off_hz: f64, blocks: Range<usize>| -> Complex64 {
+        blocks.map(|b| sums[b] * Complex64::from_polar(1.0, -TAU * off_hz * centre_s(b))).sum()
+    };
+    let seconds = x.len() as f64 / rate_hz;
+    let best_of = |middle_hz: f64, wide_hz: f64, step_hz: f64| {
+        let steps = (wide_hz / step_hz).ceil() as i32;
+        let offs = (-steps..=steps).map(|i| middle_hz + f64::from(i) * step_hz);
+        offs.max_by(|a, b| turned(*a, 0..count).norm().total_cmp(&turned(*b, 0..count).norm()))
+    };
+    let coarse_hz = best_of(0.0, OFF_HZ, 0.25 / seconds)?;
+    let off_hz = best_of(coarse_hz, 0.25 / seconds, 0.02 / seconds)?;
+    let all = turned(off_hz, 0..count);
+    let power: f64 = sums.iter().map(|z| z.norm_sqr()).sum();
+    if all.norm_sqr() < COHERENT * power * count as f64 || power == 0.0 {
+        return None;
+    }
+    let throughout = (0..4).all(|quarter| {
+        let of = turned(off_hz, quarter * count / 4..(quarter + 1) * count / 4) * 4.0 / all;
+        ALIKE.contains(&of.norm()) && of.arg().abs() < IN_PHASE_RAD
+    });
+    let frequency_hz = near_hz + off_hz;
+    // Of a tone c exp(i w t) the second difference is -4 sin2(w/2) of it; half of a cosine turns this way.
+    let gain = -4.0 * (0.5 * TAU * frequency_hz / rate_hz).sin().powi(2);
+    let weight = 0.5 * taper.iter().sum::<f64>() * count as f64;
+    throughout.then(|| Tone { samples: 0..x.len(), frequency_hz, phasor: all / (gain * weight) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{SeedableRng, prelude::Distribution};
+
+    const RATE_HZ: f64 = 400.0;
+
+    fn noise(count: usize, rms: f64) -> Vec<f64> {
+        let mut random = rand_pcg::Pcg64::seed_from_u64(3);
+        let normal = rand_distr::Normal::new(0.0, rms).expect("valid");
+        (0..count).map(|_| normal.sample(&mut random)).collect()
+    }
+
+    fn sine(hz: f64, amplitude: f64) -> impl Fn(usize) -> f64 {
+        move |n| amplitude * (TAU * hz * n as f64 / RATE_HZ + 1.0).sin()
+    }
+
+    fn seen(count: usize, of: impl Fn(usize) -> f64) -> Vec<f64> {
+        noise(count, 3e-3).into_iter().enumerate().map(|(n, noise)| noise + of(n)).collect()
+    }
+
+    #[test]
+    fn hum_beside_a_motion_is_found_and_taken_out() {
+        let (motion, hum) = (sine(2.37, 1.0), sine(50.03, 4e-3));
+        let input: Vec<f64> = (0..16_000).map(&motion).collect();
+        let clean = seen(16_000, &motion);
+        let mut spoilt: Vec<f64> = clean.iter().enumerate().map(|(n, x)| x + hum(n)).collect();
+        let lines = find(&spoilt, &input, RATE_HZ);
+        assert_eq!(lines.len(), 1);
+        assert!(
+            (lines[0].frequency_hz() - 50.03).abs() < 5e-3
+                && (lines[0].amplitude() / 4e-3 - 1.0).abs() < 0.05
+        );
+        lines[0].take_out(&mut spoilt, RATE_HZ);
+        let left = clean.iter().zip(&spoilt).map(|(a, b)| (a - b).powi(2)).sum::<f64>() / 16_000.0;
+        assert!(left.sqrt() < 2e-4, "{}", left.sqrt());
+        assert!(find(&clean, &input, RATE_HZ).is_empty());
+    }
+
+    #[test]
+    fn hum_that_wanders_is_followed() {
+        let mut phase = 0.0;
+        let hum: Vec<f64> = (0..120_000)
+            .map(|n| {
+                phase += TAU / RATE_HZ * (50.0 + 0.02 * (TAU * n as f64 / 60_000.0).sin());
+                0.02 * phase.cos()
+            })
+            .collect();
+        let mut channel = seen(120_000, |n| hum[n]);
+        let input = noise(120_000, 1.0);
+        // All of it is hum: louder than it may be beside a motion.
+        assert!(find(&channel, &input, RATE_HZ).is_empty());
+        channel.iter_mut().enumerate().for_each(|(n, x)| *x += sine(3.1, 1.0)(n));
+        let lines = find(&channel, &input, RATE_HZ);
+        assert_eq!(lines.len(), 1);
+        lines[0].take_out(&mut channel, RATE_HZ);
+        let left =
+            channel.iter().enumerate().map(|(n, x)| (x - sine(3.1, 1.0)(n)).powi(2)).sum::<f64>() / 120_000.0;
+        assert!(left.sqrt() < 4.5e-3, "{}", left.sqrt());
+    }
+
+    #[test]
+    fn harmonics_of_what_is_imposed_and_what_lasts_for_a_while_are_none() {
+        let input: Vec<f64> = (0..16_000).map(sine(2.5, 1.0)).collect();
+        let driven = seen(16_000, |n| sine(2.5, 1.0)(n) + sine(50.0, 0.02)(n));
+        assert!(find(&driven, &input, RATE_HZ).is_empty());
+        let other: Vec<f64> = (0..16_000).map(sine(2.37, 1.0)).collect();
+        let a_while = seen(16_000, |n| sine(2.37, 1.0)(n) + if n < 9000 { sine(50.0, 0.02)(n) } else { 0.0 });
+        assert!(find(&a_while, &other, RATE_HZ).is_empty());
+    }
+}

@@ -1,0 +1,71 @@
+//! Faults of a chain of measurement that can be taken out because they cannot be the motion of a mass: samples that stand alone, and hum of
+//! the mains. The record stays as it was written; what reads it to lay a model against it takes the mended one, with a note of what was done.
+
+mod hum;
+mod spikes;
+
+use super::data::{Record, Role};
+use crate::parallel;
+use std::borrow::Cow;
+
+/// The record with spikes and hum of the mains taken out and a note of each; the record itself where there are none.
+pub fn mended(record: &Record) -> Cow<'_, Record> {
+    let roles: Vec<Role> =
+        record.channels().map(|(role, _)| role).filter(|role| *role != Role::Time).collect();
+    let found = parallel::map(&roles, parallel::cores(), |role| mend(record, *role));
+    let mut out = Cow::Borrowed(record);
+    for (role, (channel, notes)) in roles.into_iter().zip(found) {
+        if notes.is_empty() {
+            continue;
+        }
+        let out = out.to_mut();
+        out.notes.extend(notes);
+        if let Some(to) = out.channel_mut(role) {
+            *to = channel;
+        }
+    }
+    out
+}
+
+/// A channel without its spikes and hum, with notes of what was taken out; neither, where nothing was.
+fn mend(record: &Record, role: Role) -> (Vec<f64>, Vec<String>) {
+    let channel = record.channel(role);
+    let mut notes = Vec::new();
+    let mut out = Vec::new();
+    let spikes = spikes::find(record, role);
+    if !spikes.is_empty() {
+        out = channel.to_vec();
+        spikes.iter().for_each(|spike| spike.take_out(&mut out));
+        let at: Vec<String> =
+            spikes.iter().take(5).map(|spike| format!("{:.4}", record.time_s[spike.first])).collect();
+        notes.push(format!(
+            "{}: {} {} far from those beside {} (at {}{} s): replaced by what runs through those",
+            role.name(),
+            spikes.len(),
+            if spikes.len() == 1 { "spike" } else { "spikes" },
+            if spikes.len() == 1 { "it" } else { "them" },
+            at.join(", "),
+            if spikes.len() > 5 { ", ..." } else { "" },
+        ));
+    }
+    let rate_hz = record.sample_rate_hz;
+    for line in hum::find(if out.is_empty() { channel } else { &out }, record.input(), rate_hz) {
+        if out.is_empty() {
+            out = channel.to_vec();
+        }
+        line.take_out(&mut out, rate_hz);
+        notes.push(format!(
+            "{}: hum of the mains at {:.2} Hz, amplitude {:.2} % of the channel's rms: taken out",
+            role.name(),
+            line.frequency_hz(),
+            100.0 * line.amplitude() / rms_about_mean(channel),
+        ));
+    }
+    (out, notes)
+}
+
+fn rms_about_mean(x: &[f64]) -> f64 {
+    let count = x.len().max(1) as f64;
+    let mean = x.iter().sum::<f64>() / count;
+    (x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / count).sqrt()
+}
