@@ -42,13 +42,26 @@ pub fn contained_in(name: &str) -> &'static [&'static str] {
     }
 }
 
-/// Numbers of an effect's shape that a model may leave out, those that no other number of it makes up for, with the limits within which
-/// it can be simulated: a fit begins without them.
-pub fn shapes(name: &str) -> &'static [(&'static str, (f64, f64))] {
+/// A number of an effect's shape that a model may leave out.
+pub struct Shape {
+    /// Name of the parameter.
+    pub name: &'static str,
+    /// Limits within which it can be simulated.
+    pub limits: (f64, f64),
+    /// Where a fit begins that the default leads nowhere.
+    pub other: Option<f64>,
+}
+
+/// Numbers of an effect's shape that a model may leave out, those that no other number of it makes up for: a fit begins without them.
+pub fn shapes(name: &str) -> &'static [Shape] {
     match name {
-        // With a gamma of 1 and more, unloading takes the element farther out; with an n below 1 its slope has a cusp at rest.
-        "bouc-wen-hysteresis" => &[("n", (1.0, 5.0)), ("gamma", (-0.5, 0.9))],
-        "stand-compliance" => &[("zeta", (1e-4, 0.3))],
+        // With a gamma of 1 and more, unloading takes the element farther out; with an n below 1 its slope has a cusp at rest, and at 1,
+        // the default, it bends there.
+        "bouc-wen-hysteresis" => &[
+            Shape { name: "n", limits: (1.0, 5.0), other: Some(2.0) },
+            Shape { name: "gamma", limits: (-0.5, 0.9), other: None },
+        ],
+        "stand-compliance" => &[Shape { name: "zeta", limits: (1e-4, 0.3), other: None }],
         _ => &[],
     }
 }

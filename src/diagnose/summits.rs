@@ -2,6 +2,7 @@
 //! stand, breakaway of friction. The search by the response calls them for the best of its candidates.
 
 use super::by_response::WORTH;
+use super::candidates::Shape;
 use super::contest::{FURTHER_ON, HALF, HOPELESS, SORTED_OUT};
 use super::search::Searcher;
 use super::trial::{self, Trial};
@@ -38,8 +39,15 @@ impl Searcher<'_> {
             }
             let (shaped, without) = (with_shape(trial, scales)?, &trial.response.as_ref()?.training);
             // From where it is; given up where it does not pay.
-            let until = Until::below(without.total() - 2.0 * WORTH);
-            let (numbers, laid) = trial::fit_response(measured, &shaped, Some(without), OF_SHAPE, until)?;
+            let enough = without.total() - 2.0 * WORTH;
+            let fitted = |shaped: &Trial| {
+                trial::fit_response(measured, shaped, Some(without), OF_SHAPE, Until::below(enough))
+            };
+            let (mut numbers, mut laid) = fitted(&shaped)?;
+            // It promises what it did not reach: there is a bend in the way.
+            if laid.total() > enough && laid.promised() > 2.0 * WORTH {
+                (numbers, laid) = fitted(&with_other_shape(&shaped)?)?;
+            }
             let shaped = trial::judge_response(measured, &shaped, numbers, laid)?;
             (verdict::apart(&shaped, trial) > WORTH).then_some(shaped)
         };
@@ -230,12 +238,12 @@ fn with_shape(trial: &Trial, scales: &Scales) -> Option<Trial> {
     let mut spec = trial.refit.spec.clone();
     let index = spec.effects.len() - 1;
     let effect = effects::find(&spec.effects[index].name).ok()?;
-    for (name, _) in shapes {
-        let default = (effect.parameters)(scales).iter().find(|p| p.name == *name)?.default?;
-        spec.effects[index].parameters.entry((*name).to_owned()).or_insert(default);
+    for shape in shapes {
+        let default = (effect.parameters)(scales).iter().find(|p| p.name == shape.name)?.default?;
+        spec.effects[index].parameters.entry(shape.name.to_owned()).or_insert(default);
     }
     let mut shaped = with_last(trial, spec, scales)?;
-    for (name, (low, high)) in shapes {
+    for Shape { name, limits: (low, high), .. } in shapes {
         let key = format!("effect[{index}].{name}");
         let Refit { numbers, .. } = &mut shaped.refit;
         let numbers = numbers.numbers.iter().zip(&mut numbers.free);
@@ -245,6 +253,18 @@ fn with_shape(trial: &Trial, scales: &Scales) -> Option<Trial> {
         });
     }
     Some(shaped)
+}
+
+/// The same with the shape that a fit is to begin from when that of the default led nowhere.
+fn with_other_shape(shaped: &Trial) -> Option<Trial> {
+    let mut other = shaped.clone();
+    let last = other.refit.spec.effects.last_mut()?;
+    let known = last.name.clone();
+    for shape in candidates::shapes(&known) {
+        let start = last.parameters.get_mut(shape.name).zip(shape.other);
+        start.into_iter().for_each(|(value, other)| *value = other);
+    }
+    Some(other)
 }
 
 #[cfg(test)]
