@@ -9,7 +9,7 @@ use super::report::{Diagnosis, NamedEffect, ParameterEstimate, Reidentified, Run
 use super::search::{Effort, Search, Searcher};
 use super::trial::{self, Response, Trial};
 use super::verdict::{self, Decision, Refused, Thresholds, Verdict};
-use crate::identify::kinematics::Tolerances;
+use crate::identify::kinematics::{Estimate, Tolerances};
 use crate::identify::least_squares::Free;
 use crate::identify::motion::{Motion, MotionError};
 use crate::identify::numbers::Number;
@@ -252,7 +252,7 @@ impl Composer<'_> {
             ladder,
             reidentified: self.reidentified(&chosen.refit),
             not_identifiable: self.not_identifiable(&chosen.refit),
-            notes: self.notes(findings, [notes, self.astray(&chosen.refit)].concat()),
+            notes: self.notes(findings, [notes, self.astray(&chosen.refit), self.late(chosen)].concat()),
             share_left: left,
             structure_left: chosen.response.as_ref().map(Response::excess),
             wall_s: 0.0,
@@ -426,6 +426,23 @@ impl Composer<'_> {
             })
         };
         refit.numbers.numbers.iter().zip(&refit.numbers.free).filter_map(told).collect()
+    }
+
+    /// What is to be said of records whose answer is late, or early, against what drives the model by more than a tenth of a sample.
+    fn late(&self, chosen: &Trial) -> Vec<String> {
+        let Some(measured) = &self.searcher.measured else { return Vec::new() };
+        let lags = chosen.lags_s(measured);
+        let beyond = |lag: &Estimate| lag.value.abs() > (4.0 * lag.sigma).max(0.1 * self.motion.dt_s());
+        let of = |i: usize| if lags.len() > 1 { format!(" of record {}", i + 1) } else { String::new() };
+        let told = |(i, lag): (usize, &Estimate)| {
+            format!(
+                "what answers{} comes {:.0} us {} than what drives it says: followed by the fits, not by the errors told",
+                of(i),
+                1e6 * lag.value.abs(),
+                if lag.value > 0.0 { "later" } else { "earlier" },
+            )
+        };
+        lags.iter().enumerate().filter(|(_, lag)| beyond(lag)).map(told).collect()
     }
 
     /// What is to be said of the records, and then of the instruments.

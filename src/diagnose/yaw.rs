@@ -23,8 +23,10 @@ const REWEIGHED: usize = 3;
 /// Steps of Gauss-Newton at most, and how often one is halved.
 const GAUSS_NEWTON: usize = 30;
 const HALVED: i32 = 6;
-/// Power in the mean over the noise of a bin that counts, and how many bins are enough.
+/// Power in the mean over the noise of a bin that counts, and in the difference: a mode that blows on the bumpers set ringing may show where
+/// the mean does not. How many bins are enough.
 const STANDS_OUT: f64 = 100.0;
+const DIFFERS: f64 = 25.0;
 const FEWEST: usize = 64;
 const MOST: usize = 20_000;
 /// What a gain and a leak leave, over the noise, from which on a mode is looked for; share of that which it may leave.
@@ -82,7 +84,7 @@ struct Spectra {
     difference: Spectrum,
     mean: Spectrum,
     table: Spectrum,
-    /// Bins with signal in the mean: the response there is known.
+    /// Bins with signal in the mean, where the response is known, or in the difference.
     bins: Vec<usize>,
     /// Power of the noise of the difference in one bin.
     noise_of_a_bin: f64,
@@ -107,7 +109,10 @@ impl Spectra {
         let noise_of_a_bin = of_difference * n as f64;
         let bins: Vec<usize> = difference
             .band(0.05, 0.3 * rate)
-            .filter(|&b| mean.bins[b].norm_sqr() > STANDS_OUT * noise_of_a_bin)
+            .filter(|&b| {
+                mean.bins[b].norm_sqr() > STANDS_OUT * noise_of_a_bin
+                    || difference.bins[b].norm_sqr() > DIFFERS * noise_of_a_bin
+            })
             .collect();
         if bins.len() < FEWEST {
             return None;

@@ -351,11 +351,23 @@ impl<'a> Measured<'a> {
     /// What the response says of each record's gains, of the displacement sensor and of the accelerometers on the mass, beside what the
     /// kinematics say: factors.
     pub fn gains(&self, numbers: &Numbers, laid: &Laid, colour: f64) -> Vec<[Estimate; 2]> {
+        let factor = |less_one: Estimate| Estimate { value: 1.0 + less_one.value, ..less_one };
+        let of_record = |common: Vec<Estimate>| [factor(common[3]), factor(common[4])];
+        self.of_records(numbers, laid, colour).map(of_record).collect()
+    }
+
+    /// By how much each record's answer comes later than the model's, s.
+    pub fn lags_s(&self, numbers: &Numbers, laid: &Laid, colour: f64) -> Vec<Estimate> {
+        self.of_records(numbers, laid, colour).map(|common| common[2]).collect()
+    }
+
+    /// What is common to all steps of each record.
+    fn of_records(&self, numbers: &Numbers, laid: &Laid, colour: f64) -> impl Iterator<Item = Vec<Estimate>> {
         let (first, covariance) = (self.of_model(&laid.values), self.covariance(numbers, laid, colour));
-        let gain =
-            |j: usize| Estimate { value: 1.0 + laid.values[j], sigma: covariance[(j, j)].max(0.0).sqrt() };
-        let of = |record: usize| [first + COMMON * record + 3, first + COMMON * record + 4].map(gain);
-        (0..self.records()).map(of).collect()
+        let value =
+            move |j: usize| Estimate { value: laid.values[j], sigma: covariance[(j, j)].max(0.0).sqrt() };
+        (0..self.records())
+            .map(move |record| (0..COMMON).map(|i| value(first + COMMON * record + i)).collect())
     }
 
     /// The fit as the rest of the diagnosis knows fits: the model's numbers and the zero, everything else eliminated.
