@@ -278,7 +278,10 @@ impl Searcher<'_> {
                 || if another {
                     *nats > ANOTHER * best
                 } else {
-                    soon || effects.len() < SCORED && *nats > worth
+                    // What one that goes on contains may do as well with less.
+                    let simpler =
+                        effects.iter().any(|of| candidates::contained_in(of).contains(&name.as_str()));
+                    soon || (effects.len() < SCORED || simpler) && *nats > worth
                 };
             if goes_on && !another {
                 effects.push(name);

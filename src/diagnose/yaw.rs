@@ -4,6 +4,7 @@
 
 use super::instruments::{Estimate95, Finding};
 use crate::record::Record;
+use crate::record::mended::may_be_hum;
 use crate::signal::{Spectrum, TAPERED};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use realfft::num_complex::Complex64;
@@ -109,6 +110,7 @@ impl Spectra {
         let noise_of_a_bin = of_difference * n as f64;
         let bins: Vec<usize> = difference
             .band(0.05, 0.3 * rate)
+            .filter(|&b| !may_be_hum(difference.omega_rad_s(b) / TAU))
             .filter(|&b| {
                 mean.bins[b].norm_sqr() > STANDS_OUT * noise_of_a_bin
                     || difference.bins[b].norm_sqr() > DIFFERS * noise_of_a_bin

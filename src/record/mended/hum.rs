@@ -7,7 +7,7 @@ use realfft::num_complex::Complex64;
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-/// Frequencies of the mains, Hz, multiples of them that are looked for where they hum, and how far they are off at most, Hz.
+/// Frequencies of the mains, Hz; multiples of them that are looked for where they hum, and how far they are off at most, Hz.
 const MAINS_HZ: [f64; 2] = [50.0, 60.0];
 const MULTIPLES: u32 = 4;
 const OFF_HZ: f64 = 0.25;
@@ -23,7 +23,7 @@ const COHERENT: f64 = 0.3;
 const ALIKE: Range<f64> = 0.6..1.6;
 const IN_PHASE_RAD: f64 = 0.7;
 /// Amplitude over the rms of the channel from which on it is no hum.
-const LOUDEST: f64 = 0.1;
+const LOUDEST: f64 = 0.3;
 /// Share of the power of what was imposed in its largest sine from which on that is a tone.
 const A_TONE: f64 = 0.3;
 /// Share of the parts that have the line.
@@ -64,6 +64,15 @@ impl Line {
             }
         }
     }
+}
+
+/// Whether a frequency is so near to one of the mains, or a multiple, that what shows there may be hum.
+pub fn may_be_hum(frequency_hz: f64) -> bool {
+    let near = |mains_hz: f64| {
+        let multiple = (frequency_hz / mains_hz).round();
+        multiple > 0.0 && (frequency_hz - multiple * mains_hz).abs() < 2.0 * OFF_HZ
+    };
+    MAINS_HZ.into_iter().any(near)
 }
 
 /// The lines of the mains in a channel; `input` is what was imposed, whose harmonics are no hum.
@@ -233,6 +242,12 @@ mod tests {
         let left =
             channel.iter().enumerate().map(|(n, x)| (x - sine(3.1, 1.0)(n)).powi(2)).sum::<f64>() / 120_000.0;
         assert!(left.sqrt() < 4.5e-3, "{}", left.sqrt());
+    }
+
+    #[test]
+    fn what_is_near_a_multiple_of_the_mains_may_be_hum() {
+        assert!([50.2, 59.8, 149.6, 180.0].into_iter().all(may_be_hum));
+        assert!(![0.1, 2.5, 49.0, 84.0, 110.0].into_iter().any(may_be_hum));
     }
 
     #[test]

@@ -4,6 +4,8 @@
 mod hum;
 mod spikes;
 
+pub use hum::may_be_hum;
+
 use super::data::{Record, Role};
 use crate::parallel;
 use std::borrow::Cow;
