@@ -24,7 +24,7 @@ export class Plot {
     const scales: uPlot.Scales = { x: { time: false, ...(options.range ? { range: options.range } : {}) }, y: options.log ? { distr: 3 } : options.zero ? { range: (_, __, high) => [0, 1.08 * (high || 1)] } : {} };
     const axes: uPlot.Axis[] = [
       { ...axis, label: options.x, size: 30 },
-      { ...axis, label: options.y, size: 52 },
+      { ...axis, label: options.y, size: 52, space: 22 },
     ];
     if (options.y2) {
       scales.y2 = {};
