@@ -68,3 +68,16 @@ fn what_a_dashpot_makes_of_the_noise_of_its_displacement_is_noise() {
         assert!((0.8..1.2).contains(&(found.error_after / found.noise_floor)), "{found:?}");
     }
 }
+
+#[test]
+fn a_force_that_drifts_is_no_physics() {
+    // A drift of 5 % sent it outside the catalogue.
+    let shape = [("kh_n_m", 2e5), ("dy_m", 1.4e-3), ("n", 1.3), ("gamma", 0.35)];
+    let mut record = hysteresis(SPRING, shape.map(|(_, value)| value), 6);
+    let count = record.force_n.len() as f64;
+    let rms = (record.force_n.iter().map(|f| f * f).sum::<f64>() / count).sqrt();
+    record.force_n.iter_mut().enumerate().for_each(|(i, f)| *f += 0.05 * rms * i as f64 / count);
+    let found = found(&record, SPRING, "bouc-wen-hysteresis");
+    assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+    assert!(found.notes.iter().any(|note| note.starts_with("the force drifts by")), "{:?}", found.notes);
+}

@@ -115,7 +115,7 @@ pub fn diagnose_together(
     Ok(out)
 }
 
-/// So many times at most the noise is taken to be what a diagnosis leaves.
+/// So many times at most the noise is taken to be what a diagnosis leaves, or a drift taken out.
 const QUIETER: usize = 2;
 
 /// Diagnoses the motion of the tests; once more with the noise that is left, where that is less than the record showed.
@@ -123,7 +123,7 @@ fn of_motion(
     (tests, nominal): (&[(&Record, &ModelSpec)], &ModelSpec),
     options: &Options,
     motion: Motion,
-    (mut findings, notes): (Vec<(usize, Finding)>, Vec<String>),
+    (mut findings, mut notes): (Vec<(usize, Finding)>, Vec<String>),
     again: usize,
 ) -> Result<Diagnosis, DiagnoseError> {
     let searcher = Searcher::new(&motion, nominal, options.effort).without(&options.without);
@@ -131,6 +131,15 @@ fn of_motion(
     let diverges = || DiagnoseError::Diverges { name: nominal.name.clone() };
     let search = searcher.search(nominal, options.thresholds).ok_or_else(diverges)?;
     let mut decision = verdict::decide(&search, &searcher, options.thresholds);
+    if again > 0
+        && let Some((steadier, drift)) = searcher.steadier(search.best())
+    {
+        notes.push(format!(
+            "the force drifts by {:.2} % of its rms over the record: taken out",
+            100.0 * drift
+        ));
+        return of_motion((tests, nominal), options, steadier, (findings, notes), again - 1);
+    }
     if again > 0
         && let Some(quieter) = searcher.quieter(&decision.chosen)
     {
@@ -252,7 +261,11 @@ impl Composer<'_> {
             ladder,
             reidentified: self.reidentified(&chosen.refit),
             not_identifiable: self.not_identifiable(&chosen.refit),
-            notes: self.notes(findings, [notes, self.astray(&chosen.refit), self.late(chosen)].concat()),
+            notes: self.notes(
+                chosen,
+                findings,
+                [notes, self.astray(&chosen.refit), self.late(chosen)].concat(),
+            ),
             share_left: left,
             structure_left: chosen.response.as_ref().map(Response::excess),
             wall_s: 0.0,
@@ -446,9 +459,12 @@ impl Composer<'_> {
     }
 
     /// What is to be said of the records, and then of the instruments.
-    fn notes(&self, findings: &[Finding], mut notes: Vec<String>) -> Vec<String> {
+    fn notes(&self, chosen: &Trial, findings: &[Finding], mut notes: Vec<String>) -> Vec<String> {
         notes.extend(self.options.without.iter().map(|name| format!("{name} was not tried, as asked for")));
         notes.extend(findings.iter().map(|f| format!("{}: {}", f.name, f.text)));
+        if self.motion.kind == Kind::Component && chosen.names.iter().any(|name| name == "constant-force") {
+            notes.push("constant-force: a zero of the force sensor looks the same".to_owned());
+        }
         notes.extend(self.motion.instruments.as_ref().map(|found| found.told(self.motion.kind)));
         let slow = self.searcher.measured.as_ref().map_or(Vec::new(), Measured::slow_noise_hz);
         notes.extend(slow.iter().enumerate().filter(|(_, corner)| **corner > 0.0).map(|(i, corner)| {

@@ -10,6 +10,9 @@ use crate::record::Kind;
 /// What is left is clearly less than noise when it is below this share of it.
 const CLEARLY_LESS: f64 = 0.7;
 
+/// Share of what an explanation of a component's force leaves that a line in time takes away where the force drifts.
+const DRIFTS: f64 = 0.2;
+
 impl Searcher<'_> {
     /// Errors of the simulated response step by step, each with the number of its window: with what belongs to each step estimated
     /// where the response was fitted, else from the measured start.
@@ -59,6 +62,41 @@ impl Searcher<'_> {
             }
         }
         less.then_some(quieter)
+    }
+
+    /// The motion of a component without the drift of its force, where a line in time takes a good part away of what a trial leaves; and how
+    /// far that goes over the record, over the rms of the force. No effect pushes ever more to one side.
+    pub fn steadier(&self, trial: &Trial) -> Option<(Motion, f64)> {
+        if self.motion.kind != Kind::Component || self.motion.sources.len() != 1 {
+            return None;
+        }
+        let problem = self.problem();
+        let modelled = problem.restoring(&trial.refit.spec, trial.refit.zero_m, Part::All)?;
+        let force = &self.motion.restoring_m_s2;
+        let mut left: Vec<(f64, f64)> = Vec::new();
+        for (k, window) in self.motion.windows.iter().enumerate() {
+            let samples = problem.samples(window).zip(&modelled[k]).enumerate();
+            let counted = samples.filter(|(i, _)| problem.weight(k, *i) > 0.0);
+            left.extend(counted.map(|(_, (n, model))| (n as f64, force[n] - model)));
+        }
+        let count = left.len().max(1) as f64;
+        let (middle, mean) = left.iter().fold((0.0, 0.0), |(n, r), of| (n + of.0 / count, r + of.1 / count));
+        let (mut along, mut across, mut power) = (0.0, 0.0, 0.0);
+        for (n, r) in left {
+            along += (n - middle).powi(2);
+            across += (n - middle) * (r - mean);
+            power += (r - mean).powi(2);
+        }
+        if along == 0.0 || across.powi(2) < DRIFTS * along * power {
+            return None;
+        }
+        let a_sample = across / along;
+        let mut steadier = self.motion.clone();
+        let drifting = steadier.restoring_m_s2.iter_mut().enumerate();
+        // Sensors are zeroed before a test.
+        drifting.for_each(|(n, force)| *force -= a_sample * n as f64);
+        let rms = self.motion.restoring_rms_m_s2();
+        Some((steadier, a_sample * force.len() as f64 / rms))
     }
 
     /// What a model's response says of each record's gains; nothing where it does not follow them.

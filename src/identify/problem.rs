@@ -117,7 +117,8 @@ impl<'a> Problem<'a> {
         self.used[k] && part.takes(&self.motion.windows[k])
     }
 
-    pub(super) fn samples(&self, window: &Window) -> impl Iterator<Item = usize> + use<> {
+    /// Samples of a window that are looked at.
+    pub fn samples(&self, window: &Window) -> impl Iterator<Item = usize> + use<> {
         window.range.clone().step_by(self.thin)
     }
 

@@ -2,7 +2,7 @@
 //! the mass does. Its frequency wanders, so that a long record is taken in parts.
 
 use super::rms_about_mean;
-use crate::signal::fundamental_hz;
+use crate::signal::{Spectrum, fundamental_hz};
 use realfft::num_complex::Complex64;
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -22,8 +22,13 @@ const COHERENT: f64 = 0.3;
 /// The same in each quarter of a part: amplitude over that of all, and phase from it, rad.
 const ALIKE: Range<f64> = 0.6..1.6;
 const IN_PHASE_RAD: f64 = 0.7;
-/// Amplitude over the rms of the channel from which on it is no hum.
+/// Amplitude over the rms of the channel from which on it is no hum, and over that of what was imposed: there it is meant.
 const LOUDEST: f64 = 0.3;
+const MEANT: f64 = 0.03;
+/// It stands so many times above whatever else there is within such a distance of it, Hz: tests with many lines have others there, and so have
+/// their answers.
+const STANDS_OUT: f64 = 3.0;
+const AROUND_HZ: f64 = 15.0;
 /// Share of the power of what was imposed in its largest sine from which on that is a tone.
 const A_TONE: f64 = 0.3;
 /// Share of the parts that have the line.
@@ -106,27 +111,51 @@ fn line(channel: &[f64], input: &[f64], rate_hz: f64, near_hz: f64) -> Option<Li
     let tones: Vec<Tone> = (0..parts)
         .filter_map(|part| {
             let range = bounds(part);
-            let tone = tone(&channel[range.clone()], block, rate_hz, near_hz)?;
+            let piece = &channel[range.clone()];
+            let tone = tone(piece, block, rate_hz, near_hz)?;
             let hum = tone.phasor.norm() < loudest
-                && !is_multiple(tone.frequency_hz, input.get(range.clone())?, rate_hz);
+                && !is_imposed(tone.frequency_hz, input.get(range.clone())?, rate_hz)
+                && stands_out(tone.frequency_hz, piece, rate_hz);
             hum.then_some(Tone { samples: range, ..tone })
         })
         .collect();
     (tones.len() as f64 >= IN_PARTS * parts as f64).then_some(Line { parts: tones })
 }
 
-/// A frequency is a multiple of that of a piece of what was imposed, as well as the piece tells; of no tone there are none.
-fn is_multiple(frequency_hz: f64, input: &[f64], rate_hz: f64) -> bool {
+/// A frequency is in a piece of what was imposed, or a multiple of that of its tone, as well as the piece tells.
+fn is_imposed(frequency_hz: f64, input: &[f64], rate_hz: f64) -> bool {
+    let count = input.len() as f64;
+    let power = input.iter().map(|x| x * x).sum::<f64>() / count;
+    let amplitude_at = |hz: f64| {
+        let turn = Complex64::from_polar(1.0, -TAU * hz / rate_hz);
+        let (mut now, mut along) = (Complex64::ONE, Complex64::ZERO);
+        for x in input {
+            along += now * x;
+            now *= turn;
+        }
+        2.0 * along.norm() / count
+    };
+    // What is imposed may be noise: of white noise next to none shows more.
+    if amplitude_at(frequency_hz) > MEANT.max(6.0 / count.sqrt()) * power.sqrt() {
+        return true;
+    }
     let Some(hz) = fundamental_hz(input, rate_hz) else { return false };
     let off_hz = (frequency_hz / hz).round() * hz - frequency_hz;
-    let turn = Complex64::from_polar(1.0, -TAU * hz / rate_hz);
-    let (mut now, mut along) = (Complex64::ONE, Complex64::ZERO);
-    for x in input {
-        along += now * x;
-        now *= turn;
-    }
-    let share = 2.0 * along.norm_sqr() / (input.len() as f64 * input.iter().map(|x| x * x).sum::<f64>());
-    off_hz.abs() * (input.len() as f64) < rate_hz && share > A_TONE
+    off_hz.abs() * count < rate_hz && 0.5 * amplitude_at(hz).powi(2) > A_TONE * power
+}
+
+/// A line stands out of everything about it.
+fn stands_out(frequency_hz: f64, x: &[f64], rate_hz: f64) -> bool {
+    let spectrum = Spectrum::tapered(x, rate_hz);
+    let top = |from_hz: f64, to_hz: f64| {
+        let bins = &spectrum.bins[spectrum.band(from_hz.max(0.0), to_hz.min(0.5 * rate_hz))];
+        bins.iter().fold(0.0_f64, |top, z| top.max(z.norm()))
+    };
+    let (near, far) = (2.0 * OFF_HZ, AROUND_HZ);
+    let line = top(frequency_hz - near, frequency_hz + near);
+    let others =
+        top(frequency_hz - far, frequency_hz - near).max(top(frequency_hz + near, frequency_hz + far));
+    line > STANDS_OUT * others
 }
 
 /// The tone of a piece of a channel near a frequency, if it is there throughout.
@@ -242,6 +271,20 @@ mod tests {
         let left =
             channel.iter().enumerate().map(|(n, x)| (x - sine(3.1, 1.0)(n)).powi(2)).sum::<f64>() / 120_000.0;
         assert!(left.sqrt() < 4.5e-3, "{}", left.sqrt());
+    }
+
+    #[test]
+    fn a_line_among_the_many_of_a_test_is_none() {
+        // Lines of 1 Hz are imposed but for every fourth; a spring that bends answers there, too.
+        let line = |k: usize, n: usize| sine(k as f64 + 0.01, 0.1)(n + 37 * k);
+        let input: Vec<f64> =
+            (0..16_000).map(|n| (1..90).filter(|k| k % 4 != 2).map(|k| line(k, n)).sum()).collect();
+        assert!(input.iter().all(|x| x.is_finite()));
+        let answer = seen(16_000, |n| input[n] + (2..90).step_by(4).map(|k| 0.1 * line(k, n)).sum::<f64>());
+        assert!(find(&answer, &input, RATE_HZ).is_empty());
+        // Nor is the one that is imposed beside a slow tone.
+        let two: Vec<f64> = (0..16_000).map(|n| sine(2.37, 1.0)(n) + sine(50.0, 0.1)(n)).collect();
+        assert!(find(&seen(16_000, |n| two[n]), &two, RATE_HZ).is_empty());
     }
 
     #[test]
