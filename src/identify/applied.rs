@@ -22,14 +22,12 @@ pub(super) fn motion(
     let displacement = channel(record, &record.displacement_m, "displacement_m").ok();
     let acceleration = channel(record, &record.acceleration_m_s2, "acceleration_m_s2").ok();
     let noise = |x: &[f64]| noise_of_sensor(x, rate);
-    let sound = |gain: f64, late| (late, gain);
-    let (of_displacement, of_acceleration) =
-        found.as_ref().map_or((sound(1.0, Estimate::default()), 1.0), |i| {
-            (sound(i.laser_gain.value, i.laser_delay_s), i.accelerometers[0].gain.value)
-        });
+    let (late, of_displacement, of_acceleration) = match &found {
+        Some(i) => (i.laser_delay_s, i.laser_gain.value, i.accelerometers[0].gain.value),
+        None => (Estimate::default(), 1.0, 1.0),
+    };
     let displacement = displacement.map(|seen| -> Vec<f64> {
-        let (late, gain) = of_displacement;
-        on_time(seen, late, rate).into_iter().map(|x| x / gain).collect()
+        on_time(seen, late, rate).into_iter().map(|x| x / of_displacement).collect()
     });
     let acceleration =
         acceleration.map(|seen| -> Vec<f64> { seen.iter().map(|a| a / of_acceleration).collect() });

@@ -3,6 +3,7 @@
 
 use super::band::Band;
 use super::{Accelerometer, Estimate, Instruments, Tolerances, regress, twice, twice_by_shift};
+use crate::identify::least_squares::dot;
 use crate::identify::spectral::noise_of_sensor;
 use crate::record::Record;
 use crate::signal::Spectrum;
@@ -13,6 +14,8 @@ const ROUNDS: usize = 6;
 const SETTLED_S: f64 = 1e-7;
 /// Nobody knows the ratio of two gains better.
 const LEAST_SIGMA: f64 = 1e-5;
+/// Share of the displacement's power that the relation may leave; where it leaves more, the two do not show one motion.
+const UNRELATED: f64 = 0.1;
 
 /// Gain and delay of both sensors against each other, laid at the door of the one that is usually off.
 pub(super) fn examine(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
@@ -44,7 +47,11 @@ pub(super) fn examine(record: &Record, tolerances: Tolerances) -> Option<Instrum
     let off = (ratio > 0.0).then(|| ratio.ln())? / (of_laser + of_mass);
     let gain = |own: f64, sigma: f64| Estimate { value: (own * off).exp(), sigma };
     let accelerometer = Accelerometer { gain: gain(-of_mass, 0.0), noise_m_s2, ..Accelerometer::default() };
-    let squares = left.iter().map(|x| x * x).sum::<f64>() / (left.len() as f64 - 2.0).max(1.0);
+    let unexplained = dot(&left, &left);
+    if unexplained > UNRELATED * dot(&d, &d) {
+        return None;
+    }
+    let squares = unexplained / (left.len() as f64 - 2.0).max(1.0);
     Some(Instruments {
         accelerometers: [accelerometer; 2],
         laser_gain: gain(of_laser, (ratio_sigma / ratio).max(LEAST_SIGMA)),
@@ -107,5 +114,12 @@ mod tests {
         let mut alone = record(0.0, 1.0, 1);
         alone.acceleration_m_s2.clear();
         assert!(examine(&alone, Tolerances::default()).is_none());
+    }
+
+    #[test]
+    fn two_motions_tell_nothing_of_gains() {
+        let mut other = record(0.0, 1.0, 1);
+        other.acceleration_m_s2.reverse();
+        assert!(examine(&other, Tolerances::default()).is_none());
     }
 }
