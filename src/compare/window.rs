@@ -117,7 +117,7 @@ fn coarse_hz(input: &[f64], mean: f64, rate: f64) -> Option<f64> {
 
 /// Phase of a sine at the first sample of whole cycles of it, rad.
 fn phase(samples: &[f64], frequency_hz: f64, rate: f64) -> f64 {
-    let [h] = super::harmonics::project::<1>(samples, frequency_hz, rate, 0.0);
+    let [h] = crate::signal::project::<1>(samples, frequency_hz, rate, 0.0);
     h.arg() + 0.25 * TAU
 }
 

@@ -318,19 +318,24 @@ pub(crate) fn quantum(values: &[f64], range: f64) -> f64 {
 pub fn white_noise(values: &[f64]) -> f64 {
     // Sum of the squares of the binomial coefficients 1, 6, 15, 20, 15, 6, 1.
     const GAIN: f64 = 924.0;
-    const MEDIAN: f64 = 0.674_489_750_196_081_7;
     // Some ten thousand places tell the median to a per cent.
     let stride = (values.len() / 20_000).max(1);
-    let mut sizes: Vec<f64> = values
+    let sixths = values
         .windows(7)
         .step_by(stride)
-        .map(|w| (w[0] - 6.0 * w[1] + 15.0 * w[2] - 20.0 * w[3] + 15.0 * w[4] - 6.0 * w[5] + w[6]).abs())
-        .collect();
+        .map(|w| w[0] - 6.0 * w[1] + 15.0 * w[2] - 20.0 * w[3] + 15.0 * w[4] - 6.0 * w[5] + w[6]);
+    deviation_by_median(sixths) / GAIN.sqrt()
+}
+
+/// Standard deviation of normal deviates about zero by the median of their size, which the few that are far out do not move; 0 of none.
+pub(in crate::record) fn deviation_by_median(deviates: impl Iterator<Item = f64>) -> f64 {
+    const MEDIAN: f64 = 0.674_489_750_196_081_7;
+    let mut sizes: Vec<f64> = deviates.map(f64::abs).collect();
     if sizes.is_empty() {
         return 0.0;
     }
     let middle = sizes.len() / 2;
-    *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 / (MEDIAN * GAIN.sqrt())
+    *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 / MEDIAN
 }
 
 /// The longest stretch of equal values inside the record, if the input moves on during it while the

@@ -14,7 +14,7 @@ mod table_motion;
 pub use analyzer::{ChannelResult, CyclePlace, HARMONICS, Harmonic, MAX_CYCLES, StepAnalyzer, StepResult};
 pub use butterworth::{BandPass, FilterBank};
 pub use low_pass::LowPass;
-pub use offline::{RecordStep, analyse_record, band_pass, fundamental_hz, hann};
+pub use offline::{RecordStep, analyse_record, band_pass, fundamental_hz, hann, project};
 pub use spectrum::{Spectrum, TAPERED};
 pub use table_motion::{TableMotion, TableNoise, table_acceleration, table_noise};
 

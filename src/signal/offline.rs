@@ -145,6 +145,28 @@ fn phasor(samples: &[f64], offset: usize, hz: f64, sample_rate_hz: f64) -> Compl
     windowed.sum()
 }
 
+/// `2/n sum y exp(-i h phi)`, `phi` from `phase_rad` at the first sample on, for h = 1..=N.
+pub fn project<const N: usize>(
+    samples: &[f64],
+    frequency_hz: f64,
+    sample_rate_hz: f64,
+    phase_rad: f64,
+) -> [Complex<f64>; N] {
+    let turn = Complex::from_polar(1.0, -TAU * frequency_hz / sample_rate_hz);
+    let mut unit = Complex::from_polar(1.0, -phase_rad);
+    let mut sums = [Complex::new(0.0, 0.0); N];
+    for sample in samples {
+        let mut power = unit;
+        for sum in &mut sums {
+            *sum += power * *sample;
+            power *= unit;
+        }
+        unit *= turn;
+    }
+    let scale = 2.0 / samples.len().max(1) as f64;
+    sums.map(|sum| sum * scale)
+}
+
 /// Hann weights `1 - cos(2 pi (i + 1/2)/n)` for i = 0..n, their mean is 1. By a turning phasor: a cosine
 /// a sample would cost more than all else; the error grows by one rounding a sample.
 pub fn hann(length: usize) -> impl Iterator<Item = f64> {

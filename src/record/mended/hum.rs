@@ -2,7 +2,7 @@
 //! the mass does. Its frequency wanders, so that a long record is taken in parts.
 
 use super::rms_about_mean;
-use crate::signal::{Spectrum, fundamental_hz};
+use crate::signal::{Spectrum, fundamental_hz, hann, project};
 use realfft::num_complex::Complex64;
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -126,15 +126,7 @@ fn line(channel: &[f64], input: &[f64], rate_hz: f64, near_hz: f64) -> Option<Li
 fn is_imposed(frequency_hz: f64, input: &[f64], rate_hz: f64) -> bool {
     let count = input.len() as f64;
     let power = input.iter().map(|x| x * x).sum::<f64>() / count;
-    let amplitude_at = |hz: f64| {
-        let turn = Complex64::from_polar(1.0, -TAU * hz / rate_hz);
-        let (mut now, mut along) = (Complex64::ONE, Complex64::ZERO);
-        for x in input {
-            along += now * x;
-            now *= turn;
-        }
-        2.0 * along.norm() / count
-    };
+    let amplitude_at = |hz: f64| project::<1>(input, hz, rate_hz, 0.0)[0].norm();
     // What is imposed may be noise: of white noise next to none shows more.
     if amplitude_at(frequency_hz) > MEANT.max(6.0 / count.sqrt()) * power.sqrt() {
         return true;
@@ -162,8 +154,7 @@ fn stands_out(frequency_hz: f64, x: &[f64], rate_hz: f64) -> bool {
 fn tone(x: &[f64], block: usize, rate_hz: f64, near_hz: f64) -> Option<Tone> {
     // Second differences keep the motion out of the band; each block is tapered (Hann).
     let turn = Complex64::from_polar(1.0, -TAU * near_hz / rate_hz);
-    let taper: Vec<f64> =
-        (0..block).map(|i| (std::f64::consts::PI * (i as f64 + 0.5) / block as f64).sin().powi(2)).collect();
+    let taper: Vec<f64> = hann(block).collect();
     let hop = block / 2;
     let count = (x.len().checked_sub(2)? / hop).saturating_sub(1);
     if count < FEWEST {

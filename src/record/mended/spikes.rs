@@ -2,6 +2,7 @@
 //! displacement is smooth, and what its acceleration shows in such a time has to show as a bend of the displacement.
 
 use super::{Record, Role};
+use crate::record::quality::deviation_by_median;
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
@@ -62,7 +63,7 @@ pub(super) fn find(record: &Record, role: Role) -> Vec<Spike> {
         return Vec::new();
     }
     let moves = without(moves, &standing_alone(moves));
-    let noise_m = scale_of(&fourths(&moves)) / 70f64.sqrt();
+    let noise_m = deviation_by_median(fourths(&moves).into_iter()) / 70f64.sqrt();
     let mass = matches!(role, Role::MassAcceleration1 | Role::MassAcceleration2);
     let table = if mass { record.table_acceleration_m_s2.as_slice() } else { &[] };
     spikes
@@ -91,21 +92,10 @@ fn fourths(x: &[f64]) -> Vec<f64> {
     x.windows(5).map(|w| w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4]).collect()
 }
 
-/// Usual size of differences: their standard deviation, by the median.
-fn scale_of(differences: &[f64]) -> f64 {
-    let mut sizes: Vec<f64> = differences.iter().map(|x| x.abs()).collect();
-    if sizes.is_empty() {
-        return 0.0;
-    }
-    let middle = sizes.len() / 2;
-    let (_, median, _) = sizes.select_nth_unstable_by(middle, f64::total_cmp);
-    *median / 0.6745
-}
-
 /// Samples far from what runs through those beside them, where those fit together.
 fn standing_alone(x: &[f64]) -> Vec<Spike> {
     let differences = fourths(x);
-    let usual = scale_of(&differences);
+    let usual = deviation_by_median(differences.iter().copied());
     let mut out: Vec<Spike> = Vec::new();
     if usual == 0.0 || !usual.is_finite() {
         return out;
@@ -128,11 +118,10 @@ fn standing_alone(x: &[f64]) -> Vec<Spike> {
 
 /// The fewest samples about one without which the rest runs on.
 fn alone(x: &[f64], differences: &[f64], usual: f64, about: usize) -> Option<Spike> {
-    let around: Vec<f64> = (about.saturating_sub(AROUND)..(about + AROUND).min(differences.len()))
+    let around = (about.saturating_sub(AROUND)..(about + AROUND).min(differences.len()))
         .filter(|n| n.abs_diff(about) > 2 * WIDEST)
-        .map(|n| differences[n])
-        .collect();
-    let usual = usual.max(scale_of(&around));
+        .map(|n| differences[n]);
+    let usual = usual.max(deviation_by_median(around));
     let tried = (1..=WIDEST).flat_map(|width| (0..width).map(move |before| (width, before)));
     tried.into_iter().find_map(|(width, before)| {
         let first = about.checked_sub(before)?;
