@@ -225,7 +225,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 fn tell(case: &Hidden, effects: &[&'static str]) {
     let Ok(motion) = Motion::of(&case.record, case.nominal.mass_kg, Tolerances::default()) else { return };
     let searcher = Searcher::new(&motion, &case.nominal, Effort::default());
-    let Some(search) = searcher.search(&case.nominal, Thresholds::default()) else { return };
+    let Some(base) = searcher.base(&case.nominal) else { return };
+    let search = searcher.search(base, Thresholds::default());
     let base = &search.base;
     let mut itself = base.clone();
     itself.names = effects.iter().map(|name| (*name).to_owned()).collect();

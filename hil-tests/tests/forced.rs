@@ -106,6 +106,19 @@ fn an_axis_whose_force_is_held_between_samples_lacks_nothing() {
 }
 
 #[test]
+fn a_force_that_comes_late_is_put_on_time() {
+    // A filter before the converter: a sample of nine in a cycle.
+    let mut record = waves(&OSCILLATOR, 31);
+    record.force_n.rotate_right(1);
+    let found = found(&record, &OSCILLATOR.nominal("oscillator", 32));
+    assert_eq!(found.verdict, Verdict::Adequate, "{:?} {:?}", found.effects, found.refused);
+    assert!(found.error_after < 1.05 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+    within(&found, "isolator.damping_n_s_m", OSCILLATOR.damping_n_s_m, 4.0);
+    let said = |note: &String| note.contains("the force comes") && note.ends_with("taken back");
+    assert!(found.notes.iter().any(said), "{:?}", found.notes);
+}
+
+#[test]
 fn dry_friction_of_an_axis_that_nothing_holds_is_named() {
     let nominal = AXIS.nominal("axis", 5);
     let found = found(&axis(&AXIS, 6), &nominal);

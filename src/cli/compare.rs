@@ -1,6 +1,6 @@
 //! `compare`: where a model fails against a record.
 
-use super::reading::ReadArgs;
+use super::reading::{ReadArgs, say_new};
 use super::{CliError, Outcome};
 use crate::compare::{Comparison, compare};
 use crate::record::quality;
@@ -46,9 +46,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     } else {
         print!("{}", text(&comparison));
     }
-    for note in comparison.notes.iter().filter(|note| !record.notes.contains(note)) {
-        eprintln!("note: {note}");
-    }
+    say_new(&comparison.notes, &record);
     Ok(Outcome::Done)
 }
 

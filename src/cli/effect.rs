@@ -1,6 +1,6 @@
 //! `effect`: the catalogue, and effects into and out of model files.
 
-use super::reading::{ReadingArgs, read_model};
+use super::reading::{ReadingArgs, read_model, say_new};
 use super::{CliError, Outcome};
 use crate::config::Check;
 use crate::diagnose::adding::{self, Added};
@@ -107,7 +107,9 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
                 None => None,
                 Some(record) => {
                     let record = reading.of(record).open()?;
-                    Some(adding::add(&record, &nominal, &spec, &given).map_err(CliError::failed)?)
+                    let added = adding::add(&record, &nominal, &spec, &given).map_err(CliError::failed)?;
+                    say_new(&added.notes, &record);
+                    Some(added)
                 }
             };
             if let Some(added) = &added {

@@ -1,6 +1,6 @@
 //! `shaketable identify`: re-fit a model's own numbers to a record.
 
-use super::reading::ReadArgs;
+use super::reading::{ReadArgs, say_new};
 use super::{CliError, Outcome};
 use crate::diagnose::out_there::out_there;
 use crate::diagnose::search::{Effort, Searcher};
@@ -33,8 +33,9 @@ pub struct Args {
 /// written.
 pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let nominal = super::reading::read_model(&args.model)?;
-    let record = args.read.open()?;
-    let record = readied(&record);
+    let opened = args.read.open()?;
+    let record = readied(&opened);
+    say_new(&record.notes, &opened);
     let motion = Motion::of(&record, nominal.mass_kg, Tolerances::default()).map_err(CliError::failed)?;
     let searcher = Searcher::new(&motion, &nominal, Effort::default());
     let Some(trial) = searcher.base(&nominal) else {
@@ -44,10 +45,8 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         )));
     };
     let trial = out_there(&record, &nominal, trial);
-    let problem = searcher.problem();
-    let held_out = |spec, zero| problem.output_error(spec, zero, Part::HeldOut);
-    let before = held_out(&nominal, 0.0).map(|e| e.nrmse());
-    let after = held_out(&trial.refit.spec, trial.refit.zero_m);
+    let before = searcher.problem().output_error(&nominal, 0.0, Part::HeldOut).map(|e| e.nrmse());
+    let after = searcher.held_out_error(&trial);
     let floor = after.map(|e| e.noise_floor(&motion));
     let rows: Vec<(String, f64, f64, f64, f64)> = trial
         .refit

@@ -70,6 +70,13 @@ impl ReadArgs {
     }
 }
 
+/// What was done to a record beyond what was said when it was opened goes to standard error.
+pub(super) fn say_new(notes: &[String], record: &Record) {
+    for note in notes.iter().filter(|note| !record.notes.contains(note)) {
+        eprintln!("note: {note}");
+    }
+}
+
 /// Reads a model by name or path; of a run folder its onboard model.
 ///
 /// # Errors

@@ -48,6 +48,8 @@ pub struct Added {
     pub error_after: Option<f64>,
     /// Error that the noise alone leaves.
     pub noise_floor: Option<f64>,
+    /// What was done to the record before.
+    pub notes: Vec<String>,
 }
 
 /// Why an effect could not be fitted.
@@ -112,16 +114,15 @@ pub fn add(
     let lost = AddError::NoResponse { with: "with the effect" };
     let trial = fitted(&searcher, &motion, nominal, &base, given, fixed_start).ok_or(lost)?;
     let trial = out_there(record, nominal, searcher.bounded(trial));
-    let problem = searcher.problem();
-    let held_out = |spec: &ModelSpec, zero| problem.output_error(spec, zero, Part::HeldOut);
-    let (refit, after) = (&trial.refit, held_out(&trial.refit.spec, trial.refit.zero_m));
+    let (refit, after) = (&trial.refit, searcher.held_out_error(&trial));
     Ok(Added {
         parameters: parameters(refit, nominal, given, &candidates::scales(nominal, &motion)),
-        error_before: held_out(nominal, 0.0).map(|e| e.nrmse()),
-        error_reidentified: held_out(&base.refit.spec, base.refit.zero_m).map(|e| e.nrmse()),
+        error_before: searcher.problem().output_error(nominal, 0.0, Part::HeldOut).map(|e| e.nrmse()),
+        error_reidentified: searcher.held_out_error(&base).map(|e| e.nrmse()),
         error_after: after.map(|e| e.nrmse()),
         noise_floor: after.map(|e| e.noise_floor(&motion)),
         model: refit.spec.clone(),
+        notes: record.notes.clone(),
     })
 }
 
@@ -238,6 +239,7 @@ fn instrument(
         error_reidentified: None,
         error_after: None,
         noise_floor: None,
+        notes: record.notes.clone(),
     })
 }
 

@@ -33,6 +33,11 @@ impl Searcher<'_> {
         Some(errors)
     }
 
+    /// The sum of those errors over the held-out steps.
+    pub fn held_out_error(&self, trial: &Trial) -> Option<OutputError> {
+        self.problem().sum(&self.errors(trial)?, Part::HeldOut)
+    }
+
     /// Error of the simulated response of held-out steps over that of the noise alone; nothing where the response does not decide.
     pub fn over_noise(&self, trial: &Trial) -> Option<f64> {
         let held_out = &trial.response.as_ref()?.held_out;

@@ -2,7 +2,7 @@
 
 use super::yaw::yaw;
 use crate::identify::kinematics::{Estimate, Instruments, Tolerances};
-use crate::record::Record;
+use crate::record::{Kind, Record};
 use serde::Serialize;
 
 /// An instrument off by more than its tolerance.
@@ -60,18 +60,22 @@ pub fn judge(found: &Instruments, record: &Record, tolerances: Tolerances) -> Ve
     let beyond =
         |e: Estimate, neutral: f64, tolerance: f64| (e.value - neutral).abs() > tolerance + 3.0 * e.sigma;
     let [one, two] = found.accelerometers;
+    let (mass, rest) = match record.kind {
+        Kind::Force => ("A", "D''"),
+        Kind::Base | Kind::Component => ("A - a_table", "D'' and a_table"),
+    };
     if beyond(found.laser_delay_s, 0.0, tolerances.delay_s) {
         out.push(finding(
             "laser-delay",
             "dt_s",
             "s",
             found.laser_delay_s,
-            "D'' comes late against A - a_table",
+            &format!("D'' comes late against {mass}"),
         ));
     }
     let late = found.accelerometers_late_s();
     if beyond(late, 0.0, tolerances.delay_s) {
-        out.push(finding("accelerometer-delay", "dt_s", "s", late, "A comes late against D'' and a_table"));
+        out.push(finding("accelerometer-delay", "dt_s", "s", late, &format!("A comes late against {rest}")));
     }
     // A gain is a finding from twice its tolerance: the priors that share the ratios between laser,
     // accelerometers and leak are as wide as the tolerances themselves.
@@ -81,7 +85,7 @@ pub fn judge(found: &Instruments, record: &Record, tolerances: Tolerances) -> Ve
             "gain",
             "1",
             found.laser_gain,
-            "D'' is out of proportion to A - a_table",
+            &format!("D'' is out of proportion to {mass}"),
         ));
     }
     let yaw = yaw(record, &found.accelerometers.map(|a| a.noise_m_s2));
@@ -100,7 +104,7 @@ pub fn judge(found: &Instruments, record: &Record, tolerances: Tolerances) -> Ve
             "gain",
             "1",
             gain,
-            &format!("accelerometer {which} is out of proportion to the other, to D'' and to a_table"),
+            &format!("accelerometer {which} is out of proportion to the other and to {rest}"),
         ));
     } else if beyond(one.gain, 1.0, 2.0 * tolerances.accelerometer_gain)
         && beyond(two.gain, 1.0, 2.0 * tolerances.accelerometer_gain)

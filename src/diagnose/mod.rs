@@ -2,6 +2,7 @@
 //! effects.
 
 pub mod adding;
+mod answer;
 mod by_response;
 pub mod candidates;
 mod contest;
@@ -9,6 +10,7 @@ pub mod discrimination;
 pub mod engine;
 mod errors;
 pub mod instruments;
+mod late;
 pub mod live;
 pub mod missing_force;
 pub mod next_test;

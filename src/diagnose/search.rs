@@ -368,12 +368,10 @@ impl<'a> Searcher<'a> {
     }
 
     /// Adds effects one at a time for as long as a good part of the excess is left and falls.
-    pub fn search(&self, nominal: &ModelSpec, thresholds: Thresholds) -> Option<Search> {
+    pub fn search(&self, base: Trial, thresholds: Thresholds) -> Search {
         // A component's force is compared along an imposed motion: nothing but its gain ends the search.
         let component = self.motion.kind == Kind::Component;
         let enough = if component { 0.0 } else { 0.5 * thresholds.left };
-        let base = self.base(nominal)?;
-        parts::done("base model");
         let mut search = Search { base, stages: Vec::new() };
         // Beyond a pair the response explains anything.
         let together =
@@ -452,7 +450,7 @@ impl<'a> Searcher<'a> {
                 break;
             }
         }
-        Some(search)
+        search
     }
 }
 

@@ -35,8 +35,10 @@ pub struct Shaped {
     pub instead: f64,
 }
 
-/// Share of what an explanation brings to first order below which a shape is not fitted in its place.
+/// Share of what an explanation brings to first order below which a shape is not fitted in its place; so many effects may stand in for one
+/// that there is no name for, and a shape is fitted in their place all the same.
 const WORTH: f64 = 0.3;
+const SEVERAL: usize = 2;
 
 /// So many of the first are looked at again.
 const AGAIN: usize = 8;
@@ -124,7 +126,7 @@ impl Searcher<'_> {
     fn shape_instead(&self, base: &Trial, taken: &Trial, thresholds: Thresholds) -> Option<f64> {
         let (measured, shape) = (self.measured.as_ref()?, self.shape_left(base, thresholds)?);
         let doubt = shape.doubt;
-        if shape.nats < WORTH * taken.training_gain(base) {
+        if taken.names.len() < SEVERAL && shape.nats < WORTH * taken.training_gain(base) {
             return None;
         }
         let fitted = trial::respond(measured, &self.with_shape(base, shape.with), None, SHORT)?;

@@ -219,10 +219,9 @@ impl Trial {
         })
     }
 
-    /// By how much its response says that each record's answer comes later than it, s; nothing where it does not follow the records.
+    /// By how much its response says that each record's answer comes later than it, s.
     pub fn lags_s(&self, measured: &Measured<'_>) -> Vec<Estimate> {
-        let followed = self.response.as_ref().filter(|_| !self.is_far());
-        followed.map_or(Vec::new(), |response| {
+        self.response.as_ref().map_or(Vec::new(), |response| {
             measured.lags_s(&self.refit.numbers, &response.training, response.left[0].colour)
         })
     }

@@ -11,6 +11,12 @@ use crate::record::Record;
 const FILLED: f64 = 0.3;
 const UNKNOWN: f64 = 2e-3;
 
+/// The record of an applied force, that came so much later than what answers it (s, below zero earlier), with the force on time.
+pub fn force_on_time(record: &Record, late_s: f64) -> Record {
+    let late = Estimate { value: late_s, sigma: 0.0 };
+    Record { force_n: on_time(&record.force_n, late, record.sample_rate_hz), ..record.clone() }
+}
+
 /// The motion of a mass that a force is applied to, with instruments corrected as they were found.
 pub(super) fn motion(
     record: &Record,
@@ -31,10 +37,11 @@ pub(super) fn motion(
     });
     let acceleration =
         acceleration.map(|seen| -> Vec<f64> { seen.iter().map(|a| a / of_acceleration).collect() });
+    let [of_d, of_a] = [&displacement, &acceleration].map(|x| x.as_deref().map_or(0.0, noise));
     let fused = match (&displacement, &acceleration) {
-        (Some(d), Some(a)) => fuse(d, noise(d), a, noise(a), rate),
-        (Some(d), None) => differentiate(d, noise(d), rate),
-        (None, Some(a)) => integrate(a, noise(a), rate),
+        (Some(d), Some(a)) => fuse(d, of_d, a, of_a, rate),
+        (Some(d), None) => differentiate(d, of_d, rate),
+        (None, Some(a)) => integrate(a, of_a, rate),
         (None, None) => {
             return Err(MotionError::MissingChannel {
                 kind: "force",
@@ -43,7 +50,7 @@ pub(super) fn motion(
         }
     };
     let (seen, noise_acceleration) = match &acceleration {
-        Some(a) => (a.clone(), noise(a)),
+        Some(a) => (a.clone(), of_a),
         None => (fused.acceleration_m_s2.clone(), fused.acceleration_noise_m_s2),
     };
     let over_mass: Vec<f64> = force.iter().map(|f| f / mass_kg).collect();
@@ -59,7 +66,7 @@ pub(super) fn motion(
         sees_acceleration: acceleration.is_some(),
         drive_noise_m_s2,
         restoring_noise_m_s2: drive_noise_m_s2.hypot(noise_acceleration),
-        laser_noise_m: displacement.as_deref().map_or(0.0, noise),
+        laser_noise_m: of_d,
         laser_m: displacement.unwrap_or_default(),
         instruments: found,
         ..fused.motion(record)

@@ -21,6 +21,8 @@ pub mod together;
 mod weighing;
 mod windows;
 
+pub use applied::force_on_time;
+
 use crate::record::{Record, mended::mended};
 use std::borrow::Cow;
 

@@ -318,13 +318,16 @@ pub(crate) fn quantum(values: &[f64], range: f64) -> f64 {
 pub fn white_noise(values: &[f64]) -> f64 {
     // Sum of the squares of the binomial coefficients 1, 6, 15, 20, 15, 6, 1.
     const GAIN: f64 = 924.0;
-    // Some ten thousand places tell the median to a per cent.
-    let stride = (values.len() / 20_000).max(1);
     let sixths = values
         .windows(7)
-        .step_by(stride)
+        .step_by(one_of(values.len()))
         .map(|w| w[0] - 6.0 * w[1] + 15.0 * w[2] - 20.0 * w[3] + 15.0 * w[4] - 6.0 * w[5] + w[6]);
     deviation_by_median(sixths) / GAIN.sqrt()
+}
+
+/// One of so many of a channel's places tells a median: some ten thousand do to a per cent.
+pub(in crate::record) fn one_of(samples: usize) -> usize {
+    (samples / 20_000).max(1)
 }
 
 /// Standard deviation of normal deviates about zero by the median of their size, which the few that are far out do not move; 0 of none.

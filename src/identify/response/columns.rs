@@ -3,7 +3,7 @@
 
 use super::descent::Fitted;
 use super::tangent::is_piecewise_linear;
-use super::{COMMON, HUBER, Measured, OVER, Simulated, Specimens, Step, slopes};
+use super::{COMMON, HUBER, Measured, OVER, Simulated, Specimens, Step};
 use crate::identify::least_squares::Free;
 use std::sync::Arc;
 
@@ -93,9 +93,10 @@ impl Measured<'_> {
             along.push(zero);
             let drive = |i: usize| if counts(i) { -motion.drive_m_s2[window.range.start + i] } else { 0.0 };
             along.push(column(&drive, &|_| 0.0));
-            let of_a = |i: usize| if counts(i) { -step.simulated[i].0 } else { 0.0 };
-            let late = |i: usize| if counts(i) { rate * slopes(&step.simulated, i).0 } else { 0.0 };
-            along.push(column(&late, &|i| rate * slopes(&step.simulated, i).1));
+            let of_a = |i: usize| if counts(i) { -self.of_mass(window, &step.simulated, i).0 } else { 0.0 };
+            let slope = |i: usize| self.rise_of_mass(window, &step.simulated, i);
+            let late = |i: usize| if counts(i) { rate * slope(i).0 } else { 0.0 };
+            along.push(column(&late, &|i| rate * slope(i).1));
             along.push(column(&|_| 0.0, &|i| -step.simulated[i].1));
             along.push(column(&of_a, &|_| 0.0));
             along.push(if window.random {

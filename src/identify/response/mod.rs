@@ -339,24 +339,49 @@ impl<'a> Measured<'a> {
         (left, at - left as f64)
     }
 
+    /// Acceleration and displacement of the mass itself at a sample of a step: an applied force is no acceleration of what it stands on.
+    fn of_mass(&self, window: &Window, simulated: &Simulated, i: usize) -> (f64, f64) {
+        let (a, d) = simulated[i];
+        let force =
+            if self.is_forced() { self.motion.seen_to_drive_m_s2(window.range.start + i) } else { 0.0 };
+        (a - force, d)
+    }
+
+    /// Rise from that sample to the next of both. A force is sampled at few samples a cycle, where central differences fall short.
+    fn rise_of_mass(&self, window: &Window, simulated: &Simulated, i: usize) -> (f64, f64) {
+        let mass = |i: usize| self.of_mass(window, simulated, i);
+        let near = slopes(mass, simulated.len(), i);
+        if !self.is_forced() || i < 2 || i + 2 >= simulated.len() {
+            return near;
+        }
+        let (before, after) = (mass(i - 2), mass(i + 2));
+        let over_four = |near: f64, before: f64, after: f64| (4.0 * near - 0.25 * (after - before)) / 3.0;
+        (over_four(near.0, before.0, after.0), over_four(near.1, before.1, after.1))
+    }
+
     /// Measured less simulated A, then D, over their noises.
     fn misfit(&self, window: &Window, simulated: &Simulated, common: &[f64], nuisances: &[f64]) -> Vec<f64> {
         let motion = self.motion;
         let (sa, sd) = self.over_noises();
         let (zero_m, leak, lag) = (common[0], common[1], common[2] * motion.sample_rate_hz);
-        let (gain_d, gain_a) = (1.0 + common[3], 1.0 + common[4]);
+        let (gain_d, more_a) = (1.0 + common[3], common[4]);
         let followed = self.followed(window);
         let (offset, drift) = (nuisances[followed], &nuisances[followed + 1..]);
         let (n, counts) = (simulated.len(), self.counts());
         let mut out = vec![0.0; 2 * n];
         for (i, (a, d)) in simulated.iter().enumerate() {
             let at = window.range.start + i;
-            let (slope_a, slope_d) = slopes(simulated, i);
+            let (own_a, _) = self.of_mass(window, simulated, i);
+            let (slope_a, slope_d) = self.rise_of_mass(window, simulated, i);
             let (left, share) = self.beside(window, i, drift.len());
             let slow = drift[left] * (1.0 - share) + drift[left + 1] * share;
             if counts[at] {
                 out[i] = sa
-                    * (-motion.restoring_m_s2[at] - leak * motion.drive_m_s2[at] - offset - gain_a * a
+                    * (-motion.restoring_m_s2[at]
+                        - leak * motion.drive_m_s2[at]
+                        - offset
+                        - a
+                        - more_a * own_a
                         + lag * slope_a);
             }
             let seen = motion.laser_m.get(at).unwrap_or(&0.0);
@@ -461,10 +486,10 @@ fn gains_and_leak(motion: &Motion) -> [f64; 3] {
     }
 }
 
-/// Rise of a simulated sample to the next, by central differences, at the ends by those to the only neighbour, a sample.
-fn slopes(simulated: &Simulated, i: usize) -> (f64, f64) {
-    let (first, last) = (i.saturating_sub(1), (i + 1).min(simulated.len() - 1));
-    let (before, after) = (simulated[first], simulated[last]);
+/// Rise from one of so many samples to the next, by central differences, at the ends by those to the only neighbour, a sample.
+fn slopes(sample: impl Fn(usize) -> (f64, f64), of: usize, i: usize) -> (f64, f64) {
+    let (first, last) = (i.saturating_sub(1), (i + 1).min(of - 1));
+    let (before, after) = (sample(first), sample(last));
     let over = 1.0 / (last - first).max(1) as f64;
     (over * (after.0 - before.0), over * (after.1 - before.1))
 }

@@ -2,7 +2,7 @@
 //! displacement is smooth, and what its acceleration shows in such a time has to show as a bend of the displacement.
 
 use super::{Record, Role};
-use crate::record::quality::deviation_by_median;
+use crate::record::quality::{deviation_by_median, one_of};
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
@@ -95,7 +95,7 @@ fn fourths(x: &[f64]) -> Vec<f64> {
 /// Samples far from what runs through those beside them, where those fit together.
 fn standing_alone(x: &[f64]) -> Vec<Spike> {
     let differences = fourths(x);
-    let usual = deviation_by_median(differences.iter().copied());
+    let usual = deviation_by_median(differences.iter().copied().step_by(one_of(differences.len())));
     let mut out: Vec<Spike> = Vec::new();
     if usual == 0.0 || !usual.is_finite() {
         return out;

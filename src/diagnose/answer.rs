@@ -1,0 +1,321 @@
+//! The answer of a diagnosis: what was decided, with its errors, numbers, intervals and notes.
+
+use super::by_response::ASTRAY;
+use super::engine::Options;
+use super::instruments::Finding;
+use super::next_test::{self, Reach};
+use super::report::{Diagnosis, NamedEffect, ParameterEstimate, Reidentified, Rung, StepErrors};
+use super::search::{Search, Searcher};
+use super::trial::{self, Response, Trial};
+use super::verdict::{self, Decision, Refused, Verdict};
+use super::{late, missing_force};
+use crate::identify::least_squares::Free;
+use crate::identify::motion::Motion;
+use crate::identify::numbers::Number;
+use crate::identify::problem::{OutputError, Part, Problem};
+use crate::identify::refit::Refit;
+use crate::identify::response::Measured;
+use crate::identify::together::Setting;
+use crate::model::{ModelSpec, effects};
+use crate::record::{Kind, Record};
+
+/// What an answer is put together from.
+pub(super) struct Composer<'a> {
+    pub(super) tests: &'a [(&'a Record, &'a ModelSpec)],
+    pub(super) nominal: &'a ModelSpec,
+    pub(super) options: &'a Options,
+    pub(super) motion: &'a Motion,
+    pub(super) searcher: &'a Searcher<'a>,
+}
+
+impl Composer<'_> {
+    /// The whole answer; nothing where a response leaves the finite numbers.
+    pub(super) fn compose(
+        &self,
+        search: &Search,
+        decision: Decision,
+        findings: &[Finding],
+        notes: Vec<String>,
+    ) -> Option<Diagnosis> {
+        let problem = self.searcher.problem();
+        let chosen = &decision.chosen;
+        // Response of both ends of the ladder, simulated once.
+        let (with, without) = (self.searcher.errors(chosen)?, self.searcher.errors(&search.base));
+        let after = problem.sum(&with, Part::HeldOut)?;
+        // As given means as measured: instruments uncorrected.
+        let raw = if findings.is_empty() { None } else { self.raw_motion() };
+        let raw_problem = raw
+            .as_ref()
+            .map(|motion| Problem::new(motion, self.nominal, self.options.effort.fitting_samples));
+        let before_problem = raw_problem.as_ref().unwrap_or(problem);
+        let reidentified = match &raw_problem {
+            Some(raw) => {
+                let base =
+                    trial::base(raw, self.nominal, Some(&search.base.refit), self.searcher.stride())?.refit;
+                raw.output_errors(&base.spec, base.zero_m, Part::All)
+            }
+            None => without.clone(),
+        };
+        let rung = |model: &str, p: &Problem<'_>, errors: Option<&[(usize, OutputError)]>| {
+            let error =
+                |part| errors.and_then(|errors| p.sum(errors, part)).map_or(f64::INFINITY, |e| e.nrmse());
+            Rung { model: model.to_owned(), training: error(Part::Training), held_out: error(Part::HeldOut) }
+        };
+        let given = before_problem.output_errors(self.nominal, 0.0, Part::All);
+        let mut ladder = vec![
+            rung("as given", before_problem, given.as_deref()),
+            rung("re-identified", before_problem, reidentified.as_deref()),
+        ];
+        if !findings.is_empty() {
+            let label =
+                format!("+ {}", findings.iter().map(|f| f.name.as_str()).collect::<Vec<_>>().join(" + "));
+            ladder.push(rung(&label, problem, without.as_deref()));
+        }
+        for stage in &search.stages {
+            if let Some(trial) = stage.finalists.iter().find(|t| chosen.names.starts_with(&t.names)) {
+                let label = format!("+ {}", verdict::last_name(trial));
+                let own = if trial.names == chosen.names {
+                    Some(with.clone())
+                } else {
+                    self.searcher.errors(trial)
+                };
+                ladder.push(rung(&label, problem, own.as_deref()));
+            }
+        }
+        let verdict = match (decision.verdict, findings.is_empty()) {
+            (Verdict::Adequate, false) => Verdict::Missing,
+            (verdict, _) => verdict,
+        };
+        let mut effects: Vec<NamedEffect> =
+            findings.iter().map(|f| instrument_effect(f, ladder.get(2).map(|r| r.held_out))).collect();
+        if verdict != Verdict::OutsideCatalogue {
+            effects.extend(self.named(search, &decision));
+        }
+        let refused = self.refused(&decision);
+        let left = decision.left;
+        Some(Diagnosis {
+            verdict,
+            effects,
+            refused,
+            error_before: ladder[0].held_out,
+            error_reidentified: ladder[1].held_out,
+            error_after: after.nrmse(),
+            noise_floor: after.noise_floor(self.motion),
+            next_test: if verdict == Verdict::Ambiguous { self.next_test(search, &decision) } else { None },
+            ambiguous_with: decision.ambiguous_with,
+            missing_force: missing_force::map(problem, &search.base.refit, Part::All),
+            steps: self.steps(&without.unwrap_or_default(), &with),
+            ladder,
+            reidentified: self.reidentified(&chosen.refit),
+            not_identifiable: self.not_identifiable(&chosen.refit),
+            notes: self.notes(
+                chosen,
+                findings,
+                [notes, self.astray(&chosen.refit), late::said(self.searcher, chosen)].concat(),
+            ),
+            share_left: left,
+            structure_left: chosen.response.as_ref().map(Response::excess),
+            wall_s: 0.0,
+        })
+    }
+
+    /// The motion with the instruments taken as they are.
+    fn raw_motion(&self) -> Option<Motion> {
+        let part = |(record, model): &(&Record, &ModelSpec)| {
+            let motion = Motion::uncorrected(record, model.mass_kg).ok()?;
+            Some((motion, Setting::between(self.nominal, model).ok()?))
+        };
+        Motion::together(self.tests.iter().map(part).collect::<Option<_>>()?).ok()
+    }
+
+    fn named(&self, search: &Search, decision: &Decision) -> Vec<NamedEffect> {
+        let chosen = &decision.chosen;
+        let first = chosen.refit.spec.effects.len() - chosen.names.len();
+        let mut out = Vec::new();
+        for (i, name) in chosen.names.iter().enumerate() {
+            let index = first + i;
+            let scales = super::candidates::scales(&chosen.refit.spec, self.motion);
+            let units = effects::find(name).map(|e| (e.parameters)(&scales)).unwrap_or_default();
+            let mut parameters = std::collections::BTreeMap::new();
+            for parameter in units {
+                if let Some((value, low95, high95)) =
+                    chosen.refit.interval(&format!("effect[{index}].{}", parameter.name))
+                {
+                    let estimate =
+                        ParameterEstimate { value, low95, high95, unit: parameter.unit.to_owned() };
+                    parameters.insert(parameter.name.to_owned(), estimate);
+                }
+            }
+            let probability = decision.probabilities.get(i).copied().unwrap_or(verdict::EXPERIENCE);
+            let partial = search
+                .stages
+                .iter()
+                .flat_map(|s| &s.finalists)
+                .find(|t| t.names == chosen.names[..=i])
+                .and_then(|t| self.searcher.held_out_error(t));
+            out.push(NamedEffect {
+                name: name.clone(),
+                probability,
+                parameters,
+                error_after: partial.map(|e| e.nrmse()),
+            });
+        }
+        out
+    }
+
+    fn refused(&self, decision: &Decision) -> Vec<Refused> {
+        // The last stage that an effect was tried in speaks.
+        let mut out: Vec<Refused> = Vec::new();
+        for refused in &decision.refused {
+            if decision.chosen.names.contains(&refused.name) {
+                continue;
+            }
+            match out.iter_mut().find(|known| known.name == refused.name) {
+                Some(known) => known.clone_from(refused),
+                None => out.push(refused.clone()),
+            }
+        }
+        out
+    }
+
+    fn next_test(&self, search: &Search, decision: &Decision) -> Option<next_test::NextTest> {
+        let reach = self.reach()?;
+        let stage =
+            search.stages.iter().rfind(|s| s.finalists.iter().any(|t| t.names == decision.chosen.names));
+        let chosen = &decision.chosen;
+        let finalists = stage.map(|s| s.finalists.as_slice()).unwrap_or_default();
+        // As the rivals were told apart: of pairs it may be the first effect that they differ in.
+        let own = |trial: &Trial| verdict::own_name(trial, chosen);
+        let rival: Option<&Trial> = finalists
+            .iter()
+            .find(|t| decision.ambiguous_with.contains(&own(t)))
+            .or_else(|| finalists.iter().find(|t| own(t) != verdict::own_name(chosen, t)));
+        let rival = rival?;
+        let first = (verdict::own_name(chosen, rival), own(rival));
+        let enough = self.options.thresholds.tie;
+        next_test::propose((&first.0, &chosen.refit), (&first.1, &rival.refit), &reach, enough)
+    }
+
+    /// What the rig can do, beside what it did.
+    fn reach(&self) -> Option<Reach> {
+        let frequencies = self.motion.windows.iter().map(|w| w.frequency_hz);
+        let (low, high) = frequencies.fold((f64::INFINITY, 0.0_f64), |(l, h), f| (l.min(f), h.max(f)));
+        let (stroke_m, velocity_m_s, acceleration_m_s2) =
+            self.options.reach.unwrap_or(next_test::PAPERS_TABLE);
+        let tried = if self.motion.kind == Kind::Base {
+            self.motion.rms(&self.motion.drive_m_s2) * 2f64.sqrt()
+        } else {
+            return None;
+        };
+        Some(Reach {
+            stroke_m,
+            velocity_m_s,
+            acceleration_m_s2,
+            tried_m_s2: tried,
+            tried_hz: (low, high),
+            noise_m_s2: self.motion.restoring_noise_m_s2,
+            laser_noise_m: self.motion.laser_noise_m,
+            rate_hz: 1.0 / self.motion.dt_s(),
+        })
+    }
+
+    /// The errors step by step; none when one of the two leaves the finite numbers.
+    fn steps(&self, without: &[(usize, OutputError)], with: &[(usize, OutputError)]) -> Vec<StepErrors> {
+        let finite = |errors: &[(usize, OutputError)]| {
+            self.motion.kind == Kind::Component || errors.iter().all(|(_, error)| error.is_finite())
+        };
+        if !finite(without) || !finite(with) {
+            return Vec::new();
+        }
+        let step = |((k, without), (_, with)): (&(usize, OutputError), &(usize, OutputError))| {
+            let window = &self.motion.windows[*k];
+            StepErrors {
+                step: window.step,
+                frequency_hz: window.frequency_hz,
+                held_out: window.held_out,
+                reidentified: without.nrmse(),
+                after: with.nrmse(),
+            }
+        };
+        without.iter().zip(with).map(step).collect()
+    }
+
+    fn reidentified(&self, refit: &Refit) -> Vec<Reidentified> {
+        refit
+            .numbers
+            .numbers
+            .iter()
+            .filter_map(|number| {
+                let nominal = self.nominal.get(&number.key).ok()?;
+                let (value, low95, high95) = refit.interval(&number.key)?;
+                Some(Reidentified { key: number.key.clone(), nominal, value, low95, high95 })
+            })
+            .collect()
+    }
+
+    /// Numbers whose interval is hardly narrower than what the model file allowed.
+    fn not_identifiable(&self, refit: &Refit) -> Vec<String> {
+        let mut out = Vec::new();
+        if self.motion.kind != Kind::Component && !self.motion.tells_mass() {
+            out.push(
+                "mass_kg against all stiffnesses and dampings together (only force over mass is seen)"
+                    .to_owned(),
+            );
+        }
+        for (j, free) in refit.numbers.free.iter().enumerate() {
+            if refit.sigmas[j] > 0.7 * free.prior.1 {
+                out.push(free.key.clone());
+            }
+        }
+        out
+    }
+
+    /// What is to be said of numbers of the model that went far from where its file has them: a guess that is held too tightly leaves a
+    /// misfit that effects stand in for.
+    fn astray(&self, refit: &Refit) -> Vec<String> {
+        let told = |(number, free): (&Number, &Free)| {
+            let (given, sigma) = free.prior;
+            let (value, ..) = refit.interval(&number.key)?;
+            let deviations = (value - given).abs() / sigma;
+            let own = self.nominal.get(&number.key).is_ok();
+            (own && deviations > ASTRAY).then(|| {
+                format!(
+                    "{} goes to {value:.4e}, {deviations:.0} deviations from the {given:.4e} of the model file: if that was a guess, give it a wider `uncertainty` there, or an effect may stand in for what it is held back by",
+                    number.key
+                )
+            })
+        };
+        refit.numbers.numbers.iter().zip(&refit.numbers.free).filter_map(told).collect()
+    }
+
+    /// What is to be said of the records, and then of the instruments.
+    fn notes(&self, chosen: &Trial, findings: &[Finding], mut notes: Vec<String>) -> Vec<String> {
+        notes.extend(self.options.without.iter().map(|name| format!("{name} was not tried, as asked for")));
+        notes.extend(findings.iter().map(|f| format!("{}: {}", f.name, f.text)));
+        if self.motion.kind == Kind::Component && chosen.names.iter().any(|name| name == "constant-force") {
+            notes.push("constant-force: a zero of the force sensor looks the same".to_owned());
+        }
+        notes.extend(self.motion.instruments.as_ref().map(|found| found.told(self.motion.kind)));
+        let slow = self.searcher.measured.as_ref().map_or(Vec::new(), Measured::slow_noise_hz);
+        notes.extend(slow.iter().enumerate().filter(|(_, corner)| **corner > 0.0).map(|(i, corner)| {
+            let of = if slow.len() > 1 { format!(" in record {}", i + 1) } else { String::new() };
+            format!(
+                "slow noise beside the model{of}: as much as the laser's white one at {corner:.2} Hz, more below; its own drift, or motion that the table's sensors do not show (counted as noise)"
+            )
+        }));
+        notes
+    }
+}
+
+fn instrument_effect(finding: &Finding, error_after: Option<f64>) -> NamedEffect {
+    let parameters = finding
+        .parameters
+        .iter()
+        .map(|(name, e, unit)| {
+            let estimate =
+                ParameterEstimate { value: e.value, low95: e.low95, high95: e.high95, unit: unit.clone() };
+            (name.clone(), estimate)
+        })
+        .collect();
+    NamedEffect { name: finding.name.clone(), probability: 0.99, parameters, error_after }
+}
