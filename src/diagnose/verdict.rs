@@ -335,10 +335,14 @@ pub fn brings(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
     (on_each || beyond_chance) && brings_together(trial, from, thresholds)
 }
 
+/// Share of what a trial brings in all that held-out steps may take from it: where few of them show an effect, noise has a say.
+const AGAINST: f64 = 0.1;
+
 /// Whether it does so on all steps together, and those held out do not speak against it.
 fn brings_together(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
-    let [_, together] = thresholds.asked(trial, from);
-    gain(trial, from) > 0.0 && apart(trial, from) > together
+    let ([_, together], in_all) = (thresholds.asked(trial, from), apart(trial, from));
+    let least = if trial.response.is_some() { -AGAINST * in_all } else { 0.0 };
+    in_all > together && gain(trial, from) > least
 }
 
 /// The best finalist that passes, the simpler one among equals, and those that tie with it.
