@@ -165,8 +165,10 @@ pub fn beside(spec: &ModelSpec, start: &EffectSpec) -> ModelSpec {
     with
 }
 
-/// Frequencies of a stand that are tried, Hz, each so many times the one before; its stiffness over the bumper's.
+/// Frequencies of a stand that are tried, Hz, each so many times the one before; its stiffness over the bumper's. Those of soft bumpers
+/// begin where twice as stiff a stand does with that share of the mass.
 const RINGING_HZ: [f64; 2] = [15.0, 700.0];
+const HEAVIEST: f64 = 0.08;
 const FASTER: f64 = 1.11;
 const STIFFER: f64 = 30.0;
 const GOLDEN: f64 = 0.618_033_988_749_895;
@@ -190,10 +192,12 @@ pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
     }
     if effect.name == "stand-compliance" {
         // How it shows depends on how fast it rings; at one frequency it does so much more as it is softer.
-        let count = ((RINGING_HZ[1] / RINGING_HZ[0]).ln() / FASTER.ln()) as i32;
+        let contact_n_m = scales.contact_stiffness_n_m();
+        let slow_hz = (2.0 * contact_n_m / (HEAVIEST * scales.mass_kg)).sqrt() / TAU;
+        let slowest_hz = RINGING_HZ[0].min(slow_hz);
+        let count = ((RINGING_HZ[1] / slowest_hz).ln() / FASTER.ln()) as i32;
         let ringing = |k: i32| {
-            let (stiffness, pulsation) =
-                (STIFFER * scales.contact_stiffness_n_m(), TAU * RINGING_HZ[0] * FASTER.powi(k));
+            let (stiffness, pulsation) = (STIFFER * contact_n_m, TAU * slowest_hz * FASTER.powi(k));
             let mut spec = effect.starting_spec(scales);
             spec.parameters.insert("ks_n_m".to_owned(), stiffness);
             spec.parameters.insert("ms_kg".to_owned(), stiffness / pulsation.powi(2));
