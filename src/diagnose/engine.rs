@@ -85,7 +85,7 @@ pub fn diagnose_together(
     Ok(out)
 }
 
-/// Diagnoses records that are ready for it, their forces put on time by so much each, s.
+/// Diagnoses records that are ready for it, whose forces were put on time by so much each, s.
 fn of_records(
     tests: &[(&Record, &ModelSpec)],
     options: &Options,
@@ -209,8 +209,8 @@ fn of_motion(
         .compose(&search, decision, &findings, notes)
         .ok_or_else(diverges)?;
     let Some(lags) = lags else { return Ok(found) };
-    let prompt = again.put_on_time(tests, options, &lags)?;
-    Ok(if prompt.error_after < found.error_after { prompt } else { found })
+    let prompt = again.put_on_time(tests, options, &lags).ok();
+    Ok(prompt.filter(|prompt| prompt.error_after < found.error_after).unwrap_or(found))
 }
 
 /// What is to be said of a record; refuses one that is not fit before any physics is blamed, unless it is to be used anyway.
