@@ -171,7 +171,7 @@ fn report(model: &ModelSpec, added: Option<&Added>, json: bool) {
             serde_json::json!({
                 "parameters": added.parameters, "error_before": added.error_before,
                 "error_reidentified": added.error_reidentified, "error_after": added.error_after,
-                "noise_floor": added.noise_floor,
+                "noise_floor": added.noise_floor, "notes": added.notes,
             })
         });
         println!("{}", serde_json::json!({ "model": model, "fit": fit }));

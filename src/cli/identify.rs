@@ -78,6 +78,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
             "error_after": after.map(|e| e.nrmse()),
             "noise_floor": floor,
             "model": trial.refit.spec,
+            "notes": record.notes,
         });
         println!("{out}");
     } else {
