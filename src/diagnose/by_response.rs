@@ -290,7 +290,7 @@ impl Searcher<'_> {
                 };
             if goes_on && !another {
                 effects.push(name);
-            } else if !goes_on && *nats > best - NEAR {
+            } else if !another && *nats > best - NEAR {
                 passed_over.push(spec.clone());
             }
             goes_on

@@ -3,22 +3,20 @@
 
 use super::search::Searcher;
 use super::trial::Trial;
-use crate::identify::kinematics::Estimate;
+use crate::identify::kinematics::{Estimate, OF_A_SAMPLE};
 use crate::record::Kind;
 
-/// Share of a sample from which on a lag is spoken of; and one that is much, whatever the model lacks.
-pub(super) const SPOKEN_OF: f64 = 0.1;
+/// Share of a sample from which on a lag is spoken of, as delays of the instruments are; and one that is much, whatever the model lacks.
+pub(super) const SPOKEN_OF: f64 = OF_A_SAMPLE;
 pub(super) const MUCH: f64 = 0.5;
-/// Standard deviations that it has to be away from zero.
-const SURE: f64 = 4.0;
 
 /// By how much each record's answer comes later than what drives it says, s; nothing for what is below a share of a sample, nor where the
 /// response does not decide.
 fn lags_s(searcher: &Searcher<'_>, trial: &Trial, share: f64) -> Vec<Option<f64>> {
     let Some(measured) = &searcher.measured else { return Vec::new() };
-    let least_s = share * searcher.motion.dt_s();
-    let beyond = |lag: &Estimate| lag.value.abs() > (SURE * lag.sigma).max(least_s);
-    trial.lags_s(measured).into_iter().map(|lag| Some(lag).filter(beyond).map(|lag| lag.value)).collect()
+    let rate_hz = searcher.motion.sample_rate_hz;
+    let beyond = |lag: Estimate| lag.is_late(share, rate_hz).then_some(lag.value);
+    trial.lags_s(measured).into_iter().map(beyond).collect()
 }
 
 /// By how much each record's answer comes later than the force that is applied says, s, 0 for what is below a share of a sample; nothing

@@ -1,7 +1,7 @@
 //! Records of an applied force: it drives the mass, whose displacement or acceleration or both are seen.
 
 use super::fused::{differentiate, fuse, integrate};
-use super::kinematics::{Estimate, Instruments, on_time};
+use super::kinematics::{Estimate, Instruments, earlier, on_time};
 use super::motion::{Motion, MotionError, channel, driving, rms};
 use super::spectral::noise_of_sensor;
 use crate::record::Record;
@@ -13,8 +13,11 @@ const UNKNOWN: f64 = 2e-3;
 
 /// The record of an applied force, that came so much later than what answers it (s, below zero earlier), with the force on time.
 pub fn force_on_time(record: &Record, late_s: f64) -> Record {
-    let late = Estimate { value: late_s, sigma: 0.0 };
-    Record { force_n: on_time(&record.force_n, late, record.sample_rate_hz), ..record.clone() }
+    let force_n = match late_s {
+        0.0 => record.force_n.clone(),
+        _ => earlier(&record.force_n, late_s, record.sample_rate_hz),
+    };
+    Record { force_n, ..record.clone() }
 }
 
 /// The motion of a mass that a force is applied to, with instruments corrected as they were found.

@@ -48,6 +48,16 @@ pub struct Estimate {
     pub sigma: f64,
 }
 
+/// Share of a sample from which on a delay counts.
+pub(crate) const OF_A_SAMPLE: f64 = 0.1;
+
+impl Estimate {
+    /// A delay (s) that is beyond doubt, and more than a share of a sample.
+    pub(crate) fn is_late(&self, share: f64, rate_hz: f64) -> bool {
+        self.value.abs() > (4.0 * self.sigma).max(share / rate_hz)
+    }
+}
+
 /// One accelerometer on the mass against laser and table.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Accelerometer {
@@ -244,10 +254,12 @@ impl Relation {
 /// A channel as it would be had it not been late. One with the corners of impacts rings when it is shifted by a part of a sample: only a delay
 /// that is beyond doubt is taken out.
 pub(super) fn on_time(channel: &[f64], late: Estimate, rate_hz: f64) -> Vec<f64> {
-    if late.value.abs() <= (4.0 * late.sigma).max(0.1 / rate_hz) {
-        return channel.to_vec();
-    }
-    Spectrum::of(channel, rate_hz).multiply(|w| Complex64::from_polar(1.0, w * late.value)).channel()
+    if late.is_late(OF_A_SAMPLE, rate_hz) { earlier(channel, late.value, rate_hz) } else { channel.to_vec() }
+}
+
+/// A channel so much earlier, s.
+pub(super) fn earlier(channel: &[f64], by_s: f64, rate_hz: f64) -> Vec<f64> {
+    Spectrum::of(channel, rate_hz).multiply(|w| Complex64::from_polar(1.0, w * by_s)).channel()
 }
 
 /// Least squares of a few columns: coefficients, their covariance, what is left.
