@@ -237,18 +237,18 @@ impl Searcher<'_> {
         scales: &Scales,
     ) -> Vec<Trial> {
         let Some(response) = &from.response else { return Vec::new() };
-        let (spec, laid) = (&from.refit.spec, &response.training);
+        let (spec, laid, long) = (&from.refit.spec, &response.training, measured.is_long());
         let with = |start: &EffectSpec| candidates::beside(spec, start);
         let mut first: Vec<(f64, ModelSpec)> = Vec::new();
         if let Some(tangent) = measured.tangent(spec, &from.refit.numbers, laid) {
             let mut starts: Vec<EffectSpec> =
-                effects.iter().flat_map(|e| candidates::starts(e, scales)).collect();
+                effects.iter().flat_map(|effect| looked_at(effect, scales, long)).collect();
             if measured.is_forced() {
                 starts.extend(effects.iter().flat_map(|e| candidates::starts_elsewhere(e, scales)));
             }
             let fainter = |start: &EffectSpec, factor: f64| candidates::fainter(start, factor, scales);
             let told = to_first_order(&tangent, &starts, with, fainter, |told| {
-                first_of_each(told, |effect| AGAIN * fitted_starts(effect), |(start, _)| Some(start));
+                first_of_each(told, |e| AGAIN * fitted_starts(e, long), |(start, _)| Some(start));
             });
             let moved = |(start, score): (EffectSpec, Score)| {
                 let (scaled, scale) = candidates::scaled(&start, score.scale, scales)?;
@@ -259,11 +259,12 @@ impl Searcher<'_> {
             };
             first = told.into_iter().filter_map(moved).collect();
             first.sort_by(|a, b| b.0.total_cmp(&a.0));
-            first_of_each(&mut first, fitted_starts, |(_, spec)| spec.effects.last());
+            first_of_each(&mut first, |effect| fitted_starts(effect, long), |(_, spec)| spec.effects.last());
         }
+        parts::done("first order");
         // To first order is near enough where little is left; otherwise the force has a say.
         let best = first.first().map_or(0.0, |(nats, _)| *nats);
-        let least = if measured.is_long() { SECOND } else { WORTH };
+        let least = if long { SECOND } else { WORTH };
         if !from.names.is_empty() && best < least {
             return Vec::new();
         }
@@ -295,7 +296,6 @@ impl Searcher<'_> {
             }
             goes_on
         });
-        parts::done("first order");
         let mut starts: Vec<ModelSpec> = first.into_iter().map(|(_, spec)| spec).collect();
         starts.extend(by_force.iter().map(|(_, refit)| refit.spec.clone()));
         let contest = Contest::new(measured, from, scales, response.colour());
@@ -430,13 +430,22 @@ fn faint_enough(
     Some((start, score))
 }
 
+/// Starts of an effect that are scored to first order: of a long record every other frequency of a ringing, whose fits bridge the rest.
+fn looked_at(effect: &Effect, scales: &Scales, long: bool) -> Vec<EffectSpec> {
+    let mut starts = candidates::starts(effect, scales);
+    if long && effect.name == "stand-compliance" {
+        starts.truncate(starts.len().div_ceil(2));
+    }
+    starts
+}
+
 /// Starts of an effect that are fitted: where there are several numbers, or the frequency of a ringing, the likelihood has several
-/// summits, or long valleys.
-fn fitted_starts(effect: &EffectSpec) -> usize {
+/// summits, or long valleys. A long record takes a springpot, whose many states are slow to follow, from fewer.
+fn fitted_starts(effect: &EffectSpec, long: bool) -> usize {
     match effect.parameters.len() {
         _ if effect.name == "stand-compliance" => OF_RINGING,
         0 | 1 => 1,
-        2 if effect.name != "fractional-damping" => FEW_STARTS,
+        2 if long || effect.name != "fractional-damping" => FEW_STARTS,
         _ => STARTS,
     }
 }

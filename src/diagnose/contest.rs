@@ -11,8 +11,9 @@ use crate::identify::response::{Laid, Measured, PROMISED, Until};
 use crate::model::{ModelSpec, Scales};
 use crate::parallel;
 
-/// Every so many steps are looked at to sort starts out.
+/// Every so many steps are looked at to sort starts out, and of a long record.
 pub(super) const HALF: usize = 2;
+const THIRD: usize = 3;
 /// How fits go on.
 pub(super) const FURTHER_ON: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
 /// How starts are sorted out, and what is left of them fitted.
@@ -36,8 +37,9 @@ const REFUSED: usize = 2;
 /// A model that starts are fitted beside.
 pub(super) struct Contest<'c, 'a> {
     measured: &'c Measured<'a>,
-    /// A part of the steps.
+    /// A part of the steps: every so many.
     some: Measured<'a>,
+    every: usize,
     from: &'c Trial,
     scales: &'c Scales,
     /// How many residuals count as one independent one.
@@ -74,14 +76,15 @@ impl Entrant {
     }
 }
 
-/// Nats of a cost over a part of the steps.
-fn nats(cost: f64, colour: f64) -> f64 {
-    0.5 * HALF as f64 * cost / colour
-}
-
 impl<'c, 'a> Contest<'c, 'a> {
     pub(super) fn new(measured: &'c Measured<'a>, from: &'c Trial, scales: &'c Scales, colour: f64) -> Self {
-        Self { measured, some: measured.every(HALF), from, scales, colour: colour.max(1.0) }
+        let every = if measured.is_long() { THIRD } else { HALF };
+        Self { measured, some: measured.every(every), every, from, scales, colour: colour.max(1.0) }
+    }
+
+    /// Nats of a cost over a part of the steps.
+    fn nats(&self, cost: f64, colour: f64) -> f64 {
+        0.5 * self.every as f64 * cost / colour
     }
 
     fn fit(
@@ -129,11 +132,11 @@ impl<'c, 'a> Contest<'c, 'a> {
         let without = self.without();
         for of in &mut tried {
             let (total, promised) = (of.short.total(), of.short.promised());
-            of.behind = nats(total - least, self.colour);
+            of.behind = self.nats(total - least, self.colour);
             // One that is a good way behind and promises no more does not catch up.
-            let settled = of.behind - nats(PROMISED * promised, 1.0);
+            let settled = of.behind - self.nats(PROMISED * promised, 1.0);
             let brings =
-                without.map_or(f64::INFINITY, |without| nats(without - total + promised, self.colour));
+                without.map_or(f64::INFINITY, |without| self.nats(without - total + promised, self.colour));
             of.hopeless = of.behind > HOPELESS || settled > 0.5 * HOPELESS || brings < PROMISING;
         }
         let mut others = first_of_each(&mut tried, |_| 1, |of| of.spec.effects.last());

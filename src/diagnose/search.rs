@@ -49,8 +49,9 @@ const NEAR: f64 = 0.25;
 const PROMISING: f64 = 3.0;
 /// Share of its prior's width that is left to a number that the motion does not reach.
 pub(super) const UNSEEN: f64 = 0.9;
-/// Starts of an effect that the force sorts out where the response does so, too.
+/// Starts of an effect that the force sorts out where the response does so, too, and of a long record.
 const FEW: usize = 5;
+const FEWER: usize = 3;
 /// So many effects go on from there.
 const GOING_ON: usize = 10;
 /// So many finalists are simulated at most, those within so many nats of the best.
@@ -262,7 +263,11 @@ impl<'a> Searcher<'a> {
         let first = Settings { iterations: 2, ..Settings::default() };
         let then = Settings { iterations: 8, tolerance: 1e-5, ..Settings::default() };
         // Where there is a response, it sorts the others out.
-        let most = if self.measured.is_some() { FEW } else { usize::MAX };
+        let most = match &self.measured {
+            Some(measured) if measured.is_long() => FEWER,
+            Some(_) => FEW,
+            None => usize::MAX,
+        };
         // A springpot's many states beside a joint that opens and closes take a minute.
         let joint = base.spec.effects.iter().any(|effect| effect.name == "backlash");
         let quick =
