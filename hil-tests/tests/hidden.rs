@@ -46,12 +46,14 @@ fn a_hysteresis_of_another_sharpness_than_it_is_first_taken_for_is_named_alone()
 fn what_others_hide_is_tried() {
     // To first order, four hysteretic and damping effects do better than a friction of less than a tenth of a newton; a yaw shows between
     // the accelerometers at a frequency that their mean has nothing of.
-    // A stand under soft bumpers rings at 8 Hz; a preload brings 80 nats, of which noise takes three on the held-out steps.
+    // A stand under soft bumpers rings at 8 Hz; a preload brings 80 nats, of which noise takes three on the held-out steps; a knee that
+    // went to 5 mm, although 8 are given, hides that the isolator softens.
     for (seed, name, size) in [
         (10_091_004, "coulomb-friction", 0.05),
         (10_086_093, "yaw-rotation", 0.05),
         (10_097_509, "stand-compliance", 0.05),
         (10_097_309, "bumper-preload", 0.02),
+        (10_099_037, "cubic-stiffness", 0.05),
     ] {
         let found = case(seed, &[name], size);
         let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();

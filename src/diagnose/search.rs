@@ -411,8 +411,10 @@ impl<'a> Searcher<'a> {
             parts::done("base model again");
             from = self.heard_anew(&mut search, &mut stage, &from).unwrap_or(from);
             parts::done("all again with other slow noise");
-            // Where the best leaves much.
-            if stage.finalists.first().is_none_or(Trial::leaves_much)
+            let brings =
+                |stage: &Stage| stage.finalists.iter().any(|trial| verdict::brings(trial, &from, thresholds));
+            // Where the best leaves much, or nothing brings anything.
+            if (stage.finalists.first().is_none_or(Trial::leaves_much) || depth == 0 && !brings(&stage))
                 && let Some(back) = self.brought_back(&from)
             {
                 stage.finalists.extend(self.stage_again(&back, stage.by_force.clone()).finalists);
@@ -433,8 +435,6 @@ impl<'a> Searcher<'a> {
                 best_first(&mut stage.finalists, &search.base);
             }
             self.merge(&mut stage, &search.base);
-            let brings =
-                |stage: &Stage| stage.finalists.iter().any(|trial| verdict::brings(trial, &from, thresholds));
             let mut gained = brings(&stage);
             // What two bring together neither may bring alone: play where the force has an offset.
             if component
