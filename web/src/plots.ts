@@ -132,7 +132,8 @@ export class XY {
 }
 
 function ticks(low: number, high: number): number[] {
-  const raw = (high - low) / 4;
+  // Of a range to both sides of zero, three at least.
+  const raw = (high - low) / 5;
   const size = 10 ** Math.floor(Math.log10(raw));
   const step = [1, 2, 5, 10].map((k) => k * size).find((s) => s >= raw) ?? raw;
   const out = [];
