@@ -2,10 +2,11 @@
 //! by equations of its own along the motion, hidden states included.
 
 use super::effects::CATALOGUE;
+use super::effects::fractional_damping::SpringPot;
 use super::testing::{b1_g2, effect};
 use super::{BumperSpec, EffectSpec, ModelSpec, Response, build};
 use proptest::prelude::*;
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 /// Name, parameters, and the part of the turnover that the ledger may miss.
 type Candidate<'a> = (&'a str, &'a [(&'a str, f64)], f64);
@@ -70,6 +71,8 @@ struct Ledger {
     sliders: Vec<[f64; 3]>,
     /// Relaxing branches: rate, weight, state.
     branches: Vec<[f64; 3]>,
+    /// Stiffness of those that have not relaxed, damping of those that have: N/m and N s/m.
+    springpot_ends: (f64, f64),
     /// Stands: displacement and velocity.
     stands: [[f64; 2]; 2],
     /// Work that goes into other masses than the specimen's, J.
@@ -88,6 +91,7 @@ impl Ledger {
             hidden: 0.0,
             sliders: Vec::new(),
             branches: Vec::new(),
+            springpot_ends: (0.0, 0.0),
             stands: [[0.0; 2]; 2],
             aside: 0.0,
         };
@@ -104,16 +108,11 @@ impl Ledger {
             ledger.sliders = (0..n).map(|i| [kp / n as f64, at(i), 0.0]).collect();
         }
         if let Some([ca, alpha]) = ledger.all("fractional-damping", ["ca", "alpha"]) {
-            // The effect's own fifteen rates: what is counted here is their energy, not how well they stand for a springpot.
-            let (highest, step) = (1.0 / dt, 1e5_f64.ln() / 14.0);
-            let front = ca * (PI * alpha).sin() / PI;
-            ledger.branches = (0..15)
-                .map(|i| {
-                    let rate = highest * (-step * f64::from(14 - i)).exp();
-                    let end = if i == 0 || i == 14 { 0.5 } else { 1.0 };
-                    [rate, end * front * step * rate.powf(alpha), 0.0]
-                })
-                .collect();
+            // The effect's own rates: what is counted here is their energy, not how well they stand for a springpot.
+            let own = SpringPot::new(ca, alpha, dt);
+            ledger.branches =
+                own.rates.into_iter().zip(own.weights).map(|(rate, w)| [rate, w, 0.0]).collect();
+            ledger.springpot_ends = (own.stiffness, own.damping);
         }
         ledger
     }
@@ -124,14 +123,6 @@ impl Ledger {
 
     fn all<const N: usize>(&self, name: &str, keys: [&str; N]) -> Option<[f64; N]> {
         self.spec.effects.iter().find(|e| e.name == name).map(|e| keys.map(|key| e.parameters[key]))
-    }
-
-    /// Springpot: the stiffness of the branches that have not relaxed, the dashpot of those that have.
-    fn springpot_ends(&self) -> (f64, f64) {
-        let Some([ca, alpha]) = self.all("fractional-damping", ["ca", "alpha"]) else { return (0.0, 0.0) };
-        let front = ca * (PI * alpha).sin() / PI;
-        let (lowest, highest) = (self.branches[0][0], self.branches[14][0]);
-        (front * lowest.powf(alpha) / alpha, front * highest.powf(alpha - 1.0) / (1.0 - alpha))
     }
 
     fn softened(&self) -> f64 {
@@ -184,7 +175,7 @@ impl Ledger {
             + self.of("constant-force", "f_n") * d
             + 0.5 * self.of("bouc-wen-hysteresis", "kh_n_m") * self.hidden * self.hidden
             + 0.5 * self.of("maxwell-branch", "km_n_m") * self.hidden * self.hidden
-            + 0.5 * self.springpot_ends().0 * d * d
+            + 0.5 * self.springpot_ends.0 * d * d
             + sliders
             + branches;
         if let Some([ks, ms]) = self.all("stand-compliance", ["ks_n_m", "ms_kg"]) {
@@ -206,7 +197,7 @@ impl Ledger {
         let dry = self.of("coulomb-friction", "fc_n") + fc + (fs - fc) * (-(v / vs).powi(2)).exp();
         let jointed = self.all("backlash", ["b_m"]).is_some();
         let viscous = if jointed { 0.0 } else { self.spec.isolator.damping_n_s_m };
-        (viscous + self.springpot_ends().1) * v * v
+        (viscous + self.springpot_ends.1) * v * v
             + dry * v.abs()
             + self.of("quadratic-damping", "c2_n_s2_m2") * v.abs().powi(3)
             + self.of("expression", "c_n_s3_m3") * v.powi(4)

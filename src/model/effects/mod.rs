@@ -14,7 +14,7 @@ mod constant_force;
 pub(crate) mod coulomb_friction;
 mod cubic_stiffness;
 mod expression;
-mod fractional_damping;
+pub(super) mod fractional_damping;
 mod gap_asymmetry;
 mod hertz_contact;
 mod hunt_crossley_damping;

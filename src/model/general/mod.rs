@@ -55,8 +55,9 @@ pub(super) fn swept(system: System, options: &Options) -> Result<Box<dyn Sweepab
         3 => Box::new(General::<3>::new(system, options)),
         4..=6 => Box::new(General::<6>::new(system, options)),
         7..=10 => Box::new(General::<10>::new(system, options)),
-        11..=20 => Box::new(General::<20>::new(system, options)),
-        21..=LARGEST => Box::new(General::<LARGEST>::new(system, options)),
+        11..=12 => Box::new(General::<12>::new(system, options)),
+        13..=18 => Box::new(General::<18>::new(system, options)),
+        19..=LARGEST => Box::new(General::<LARGEST>::new(system, options)),
         needed => return Err(ModelError::TooManyStates { needed, allowed: LARGEST }),
     })
 }
