@@ -28,7 +28,7 @@ const SORTING: usize = 3;
 /// Square of the distance, in deviations, within which two fits end in the same place.
 const SAME: f64 = 1.0;
 /// Damping of a first step, and the one at which coarse slopes lead no farther.
-const UNDAMPED: f64 = 1e-4;
+pub(super) const UNDAMPED: f64 = 1e-4;
 const STALLED: f64 = 1.0;
 /// How much wider a difference becomes by better slopes when these are taken again, and how often at most.
 const GROWN: f64 = 1.2;
@@ -190,7 +190,12 @@ impl<'a> Measured<'a> {
     }
 
     /// Lays a model with such values against the steps of a part.
-    fn at(&self, fitted: &Fitted<'_>, values: Vec<f64>, nuisances: Vec<Nuisances>) -> Option<At<'_>> {
+    pub(super) fn at(
+        &self,
+        fitted: &Fitted<'_>,
+        values: Vec<f64>,
+        nuisances: Vec<Nuisances>,
+    ) -> Option<At<'_>> {
         let mut spec = fitted.spec.clone();
         fitted.numbers.put(&values, &mut spec).then_some(())?;
         let (cost, steps) = self.lay(&spec, Part::Training, &values, &nuisances)?;
@@ -226,7 +231,12 @@ impl<'a> Measured<'a> {
 
     /// The slopes where a fit stands. Fine ones again where the coarse ones had made a number's deviation too small, and with it the
     /// difference: what a solver's errors add to slopes is information that is not there.
-    fn slopes(&self, fitted: &mut Fitted<'_>, at: &At<'_>, known: Option<System>) -> Option<System> {
+    pub(super) fn slopes(
+        &self,
+        fitted: &mut Fitted<'_>,
+        at: &At<'_>,
+        known: Option<System>,
+    ) -> Option<System> {
         let mut system = self.linearise(fitted, &at.values, &at.nuisances, &at.steps, known)?;
         // The width of exact differences depends on nothing.
         if is_piecewise_linear(&fitted.spec) {
@@ -311,7 +321,7 @@ impl<'a> Measured<'a> {
     }
 
     /// The gradient where the residuals are now, along the slopes that are there.
-    fn aim(&self, system: &mut System, nuisances: &[Nuisances], steps: &[Step<'_>]) {
+    pub(super) fn aim(&self, system: &mut System, nuisances: &[Nuisances], steps: &[Step<'_>]) {
         system.gradient.fill(0.0);
         for ((eliminated, step), own) in system.own.iter_mut().zip(steps).zip(nuisances) {
             let weight = self.weight(step, own, &eliminated.precision);
@@ -438,17 +448,18 @@ impl<'b> Fitted<'b> {
 }
 
 /// Where a fit stands.
-struct At<'b> {
-    spec: ModelSpec,
-    values: Vec<f64>,
-    nuisances: Vec<Nuisances>,
-    steps: Vec<Step<'b>>,
-    cost: f64,
+pub(super) struct At<'b> {
+    pub(super) spec: ModelSpec,
+    pub(super) values: Vec<f64>,
+    pub(super) nuisances: Vec<Nuisances>,
+    pub(super) steps: Vec<Step<'b>>,
+    pub(super) cost: f64,
     /// With the priors.
-    total: f64,
+    pub(super) total: f64,
 }
 
 /// Normal equations with the nuisances of each step eliminated, and what is needed to find those again.
+#[derive(Clone)]
 pub(super) struct System {
     pub(super) normal: DMatrix<f64>,
     pub(super) gradient: DVector<f64>,
@@ -456,6 +467,7 @@ pub(super) struct System {
 }
 
 /// What belongs to one step.
+#[derive(Clone)]
 pub(super) struct Eliminated {
     /// Slopes of its residuals along the values, and along its nuisances.
     pub(super) along: Vec<Vec<f64>>,
@@ -469,7 +481,7 @@ pub(super) struct Eliminated {
 
 impl System {
     /// How far the cost falls to second order when the values move and the nuisances follow.
-    fn promises(&self, free: &[Free], values: &[f64], moved: &[f64]) -> f64 {
+    pub(super) fn promises(&self, free: &[Free], values: &[f64], moved: &[f64]) -> f64 {
         let n = self.gradient.len();
         let of_steps = self.own.iter().map(|own| (own.pull.transpose() * &own.inverse * &own.pull)[(0, 0)]);
         let change = DVector::from_fn(n, |j, _| moved[j] - values[j]);
@@ -486,7 +498,7 @@ impl System {
     }
 
     /// Values and nuisances after a damped step.
-    fn step(
+    pub(super) fn step(
         &self,
         free: &[Free],
         values: &[f64],
