@@ -7,6 +7,7 @@ use crate::cli::{CliError, Outcome};
 use crate::diagnose::{Options, diagnose, parts};
 use crate::model::{Scales, effects};
 use crate::units::SAMPLE_RATE_HZ;
+use rustix::time::{ClockId, clock_gettime};
 use serde_json::{Map, Value};
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
@@ -27,10 +28,16 @@ pub struct DiagnoseArgs {
     effects: Vec<String>,
 }
 
-/// Seconds of every part, in the order in which they first ended.
+/// Seconds of every part, and those of all cores together, in the order in which they first ended.
 struct Watch {
-    times: Vec<(String, f64)>,
-    last: Instant,
+    times: Vec<(String, [f64; 2])>,
+    last: (Instant, f64),
+}
+
+/// Now, and how long the cores have worked for this process, s.
+fn now() -> (Instant, f64) {
+    let worked = clock_gettime(ClockId::ProcessCPUTime);
+    (Instant::now(), worked.tv_sec as f64 + 1e-9 * worked.tv_nsec as f64)
 }
 
 /// Adds up what the parts of a diagnosis take.
@@ -44,11 +51,12 @@ impl<S: tracing::Subscriber> Layer<S> for Listener {
         let mut part = Part(String::new());
         event.record(&mut part);
         let Ok(mut watch) = self.0.lock() else { return };
-        let now = Instant::now();
-        let seconds = (now - std::mem::replace(&mut watch.last, now)).as_secs_f64();
+        let now = now();
+        let last = std::mem::replace(&mut watch.last, now);
+        let passed = [(now.0 - last.0).as_secs_f64(), now.1 - last.1];
         match watch.times.iter_mut().find(|(name, _)| *name == part.0) {
-            Some((_, sum)) => *sum += seconds,
-            None => watch.times.push((part.0, seconds)),
+            Some((_, sums)) => sums.iter_mut().zip(passed).for_each(|(sum, s)| *sum += s),
+            None => watch.times.push((part.0, passed)),
         }
     }
 }
@@ -78,7 +86,7 @@ pub fn execute(args: &DiagnoseArgs, json: bool) -> Result<Outcome, CliError> {
             specimen.effects.push(effects::find(name).map_err(CliError::usage)?.starting_spec(&scales));
         }
         let record = sweep(&specimen)?;
-        let watch = Arc::new(Mutex::new(Watch { times: Vec::new(), last: Instant::now() }));
+        let watch = Arc::new(Mutex::new(Watch { times: Vec::new(), last: now() }));
         let subscriber = tracing_subscriber::registry().with(Listener(Arc::clone(&watch)));
         let found = with_default(subscriber, || diagnose(&record, &model, &Options::default()));
         let found = found.map_err(CliError::failed)?;
@@ -91,14 +99,17 @@ pub fn execute(args: &DiagnoseArgs, json: bool) -> Result<Outcome, CliError> {
             figures.insert("said".to_owned(), said.into());
             figures.insert("samples".to_owned(), record.len().into());
             figures.insert("diagnose_s".to_owned(), found.wall_s.into());
-            let parts: Map<String, Value> =
-                times.into_iter().map(|(part, seconds)| (part, seconds.into())).collect();
-            figures.insert("parts_s".to_owned(), parts.into());
+            for (key, which) in [("parts_s", 0), ("parts_of_all_cores_s", 1)] {
+                let parts = times.iter().map(|(part, seconds)| (part.clone(), seconds[which].into()));
+                figures.insert(key.to_owned(), Value::Object(parts.collect()));
+            }
             told.push(Value::Object(figures));
             continue;
         }
         println!("hidden {name}, said {said}: {} samples, {:.2} s", record.len(), found.wall_s);
-        times.iter().for_each(|(part, seconds)| println!("  {part:<32} {seconds:>6.2}"));
+        for (part, [seconds, worked]) in &times {
+            println!("  {part:<32} {seconds:>6.2} s, of all cores {worked:>6.2} s");
+        }
     }
     if json {
         println!("{}", Value::Array(told));
