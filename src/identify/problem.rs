@@ -214,19 +214,26 @@ impl<'a> Problem<'a> {
         let motion = self.motion;
         let Some(Instruments { accelerometers: [one, two], .. }) = &motion.instruments else { return };
         let sigma = 0.5 * (one.leak.sigma + two.leak.sigma);
-        let at = || {
-            let windows = motion.windows.iter().enumerate().filter(|(k, _)| self.takes(part, *k));
-            windows.flat_map(|(k, w)| {
-                self.samples(w).zip(&self.weights[k]).map(|(n, weight)| weight * motion.drive_m_s2[n])
-            })
-        };
         let (mut along, mut power) = (0.0, sigma.max(1e-300).powi(-2));
-        for (r, table) in residuals.iter().zip(at()) {
-            along += r * table;
-            power += table * table;
+        let windows = motion.windows.iter().enumerate().filter(|(k, _)| self.takes(part, *k));
+        let mut rest = &mut *residuals;
+        let mut of_windows = Vec::with_capacity(motion.windows.len());
+        for (k, window) in windows {
+            let (own, later) = std::mem::take(&mut rest).split_at_mut(self.weights[k].len());
+            rest = later;
+            for ((r, n), weight) in own.iter().zip(self.samples(window)).zip(&self.weights[k]) {
+                let table = weight * motion.drive_m_s2[n];
+                along += r * table;
+                power += table * table;
+            }
+            of_windows.push((k, window, own));
         }
         let leak = along / power;
-        residuals.iter_mut().zip(at()).for_each(|(r, table)| *r -= leak * table);
+        for (k, window, own) in of_windows {
+            for ((r, n), weight) in own.iter_mut().zip(self.samples(window)).zip(&self.weights[k]) {
+                *r -= leak * weight * motion.drive_m_s2[n];
+            }
+        }
     }
 
     /// Weight of a thinned sample of a window: one over its noise, 1/(m/s2); zero where it does not count.

@@ -6,6 +6,7 @@ use super::motion::Window;
 use super::output_error::OutputError;
 use super::problem::{DRIFT_MEMORY, NARROW, Part, Problem};
 use crate::model::ModelSpec;
+use crate::parallel;
 
 impl Problem<'_> {
     /// Weighs the samples for a model and the zero of its displacement sensor: what the noise of the displacement makes of
@@ -37,11 +38,12 @@ impl Problem<'_> {
     /// of the displacement.
     fn shapes(&self, spec: &ModelSpec, zero_m: f64, around: f64) -> Vec<Vec<(f64, f64)>> {
         let aside_m = around * (3.0 * self.shift_m() + self.drift_m);
-        let centre = self.restoring(spec, zero_m, Part::All);
-        let sides = [aside_m, -aside_m].map(|aside| self.restoring(spec, zero_m + aside, Part::All));
+        let places = [zero_m, zero_m + aside_m, zero_m - aside_m];
+        let forces =
+            parallel::map(&places, parallel::cores(), |zero_m| self.restoring(spec, *zero_m, Part::All));
         let windows = self.motion.windows.iter().enumerate();
-        let of_window = |(k, window): (usize, &Window)| match (&centre, &sides) {
-            (Some(at), [Some(right), Some(left)]) => {
+        let of_window = |(k, window): (usize, &Window)| match &forces[..] {
+            [Some(at), Some(right), Some(left)] => {
                 let both = right[k].iter().zip(&left[k]);
                 let shape = |(f, (r, l)): (&f64, (&f64, &f64))| {
                     ((r - l) / (2.0 * aside_m).max(1e-300), r + l - 2.0 * f)
@@ -106,9 +108,12 @@ impl Problem<'_> {
         let mut right = vec![0.0; knots];
         diagonal[0] = 1.0 / innovation;
         diagonal[knots - 1] = 1.0 / innovation;
+        let per_sample = 1.0 / cycle;
         // Each residual is steered by the knots on its left and right.
         let steer = |i: usize| {
-            let (whole, rest) = ((i as f64 / cycle) as usize, (i as f64 / cycle).fract());
+            let at = i as f64 * per_sample;
+            let whole = at as usize;
+            let rest = at - whole as f64;
             let s = self.weights[k][i] * self.slopes[k][i];
             (whole.min(knots - 2), s * (1.0 - rest), s * rest)
         };

@@ -5,11 +5,42 @@
 //! channel that starts or ends in motion does not ring.
 
 use super::hann;
-use realfft::{RealFftPlanner, num_complex::Complex64};
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex, num_complex::Complex64};
 use std::f64::consts::TAU;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Mean square of the window of [`Spectrum::tapered`].
 pub const TAPERED: f64 = 1.5;
+
+/// So many lengths keep their plans: a record's channels have few, and the tables of a long one take as much memory as a channel.
+const KEPT: usize = 4;
+
+static PLANS: Mutex<Vec<(usize, Plans)>> = Mutex::new(Vec::new());
+
+/// How channels of one length are transformed, there and back.
+#[derive(Clone)]
+struct Plans {
+    forward: Arc<dyn RealToComplex<f64>>,
+    inverse: Arc<dyn ComplexToReal<f64>>,
+}
+
+impl Plans {
+    /// Those of a length, made where they are not among the last ones asked for.
+    fn of(length: usize) -> Self {
+        let mut kept = PLANS.lock().unwrap_or_else(PoisonError::into_inner);
+        let plans = match kept.iter().position(|(of, _)| *of == length) {
+            Some(i) => kept.remove(i).1,
+            None => {
+                let mut planner = RealFftPlanner::new();
+                let (forward, inverse) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
+                Self { forward, inverse }
+            }
+        };
+        kept.insert(0, (length, plans.clone()));
+        kept.truncate(KEPT);
+        plans
+    }
+}
 
 /// A real channel as its one-sided spectrum.
 pub struct Spectrum {
@@ -76,7 +107,7 @@ impl Spectrum {
 
     fn of_extended(mut extended: Vec<f64>, samples: usize, padding: usize, sample_rate_hz: f64) -> Self {
         let length = extended.len();
-        let plan = RealFftPlanner::<f64>::new().plan_fft_forward(length);
+        let plan = Plans::of(length).forward;
         let mut bins = plan.make_output_vec();
         // The lengths match by construction, so the transform cannot refuse.
         let _ = plan.process(&mut extended, &mut bins);
@@ -131,7 +162,7 @@ impl Spectrum {
 
     /// Inverse transform of all bins, without its scale.
     fn inverse(&mut self) -> Vec<f64> {
-        let plan = RealFftPlanner::<f64>::new().plan_fft_inverse(2 * (self.bins.len() - 1));
+        let plan = Plans::of(2 * (self.bins.len() - 1)).inverse;
         // The inverse of a real channel has real ends; rounding may have left an imaginary part.
         for end in [0, self.bins.len() - 1] {
             self.bins[end].im = 0.0;

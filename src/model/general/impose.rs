@@ -81,6 +81,10 @@ impl<const N: usize> General<N> {
             }
             return;
         }
+        // No free tip stands outside its own gap.
+        if p < 0.0 {
+            return;
+        }
         let tip = self.mode.tips[side];
         let free = self.system.bumper.relaxed_m(tip.deformation_m, self.time_s - tip.since_s);
         if p < free {

@@ -237,6 +237,7 @@ impl<const N: usize> General<N> {
     }
 
     /// Tells terms with memory, and the error control, where the motion has come to.
+    #[inline]
     pub(super) fn commit(&mut self) {
         self.largest[0] = self.largest[0].max(self.y[0].abs());
         self.largest[1] = self.largest[1].max(self.y[1].abs());
