@@ -15,6 +15,13 @@ fn case(seed: u64, effects: &[&'static str], size: f64) -> Diagnosis {
     diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record")
 }
 
+/// The diagnosis of a case with a force at 12 % that the catalogue does not hold.
+fn foreign(seed: u64, which: usize) -> Diagnosis {
+    let recipe = Recipe { foreign: Some(which), ..Recipe::of(seed, &[], 0.12) };
+    let case = hidden::make(&recipe).expect("the force reaches its size");
+    diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record")
+}
+
 #[test]
 fn a_missing_effect_is_named_and_the_held_out_error_falls() {
     for (seed, name) in [(5_000_004, "bouc-wen-hysteresis"), (5_000_002, "quadratic-damping")] {
@@ -146,12 +153,25 @@ fn what_is_wrong_with_a_record_is_named_before_any_physics() {
 #[test]
 fn a_force_that_no_effect_explains_is_outside_the_catalogue() {
     // A ripple over the displacement.
-    let recipe = Recipe { foreign: Some(0), ..Recipe::of(5_000_201, &[], 0.12) };
-    let case = hidden::make(&recipe).expect("the force reaches its size");
-    let found = diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record");
+    let found = foreign(5_000_201, 0);
     assert_eq!(found.verdict, Verdict::OutsideCatalogue, "{:?}", found.effects);
     let shape = found.missing_force.expect("a shape");
     assert!(shape.explained_by_surface > 0.5, "{}", shape.explained_by_surface);
+}
+
+#[test]
+fn a_force_that_two_effects_make_up_for_is_outside_the_catalogue() {
+    // A damping that grows with the cube of velocity: one shape does better than every pair.
+    let found = foreign(10_097_103, 3);
+    assert_eq!(found.verdict, Verdict::OutsideCatalogue, "{:?}", found.effects);
+}
+
+#[test]
+fn a_faint_damping_stands_before_a_hysteresis_that_does_nearly_as_well() {
+    let found = case(10_097_320, &["quadratic-damping"], 0.02);
+    let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
+    assert!(matches!(found.verdict, Verdict::Missing | Verdict::Ambiguous), "{:?}", found.verdict);
+    assert_eq!(named, ["quadratic-damping"]);
 }
 
 #[test]
