@@ -9,17 +9,20 @@ use shaketable::record::Record;
 use shaketable::record::data::ReadOptions;
 use std::path::Path;
 
+/// The diagnosis of what a recipe makes.
+fn diagnosed(recipe: &Recipe) -> Diagnosis {
+    let case = hidden::make(recipe).expect("the effect reaches its size");
+    diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record")
+}
+
 /// The diagnosis of an ordinary specimen's sweep.
 fn case(seed: u64, effects: &[&'static str], size: f64) -> Diagnosis {
-    let case = hidden::make(&Recipe::of(seed, effects, size)).expect("the effect reaches its size");
-    diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record")
+    diagnosed(&Recipe::of(seed, effects, size))
 }
 
 /// The diagnosis of a case with a force at 12 % that the catalogue does not hold.
 fn foreign(seed: u64, which: usize) -> Diagnosis {
-    let recipe = Recipe { foreign: Some(which), ..Recipe::of(seed, &[], 0.12) };
-    let case = hidden::make(&recipe).expect("the force reaches its size");
-    diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record")
+    diagnosed(&Recipe { foreign: Some(which), ..Recipe::of(seed, &[], 0.12) })
 }
 
 #[test]
@@ -205,8 +208,7 @@ fn one_sensor_of_the_mass_is_enough() {
     for sensors in [Sensors::OneAccelerometer, Sensors::AccelerometerAlone, Sensors::LaserAlone] {
         for (seed, effects) in [(5_000_701, &[][..]), (5_000_702, &["cubic-stiffness"])] {
             let recipe = Recipe { sensors, ..Recipe::of(seed, effects, 0.08) };
-            let case = hidden::make(&recipe).expect("the effect reaches its size");
-            let found = diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record");
+            let found = diagnosed(&recipe);
             let named: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
             let verdict = if effects.is_empty() { Verdict::Adequate } else { Verdict::Missing };
             assert_eq!(

@@ -214,26 +214,18 @@ impl<'a> Problem<'a> {
         let motion = self.motion;
         let Some(Instruments { accelerometers: [one, two], .. }) = &motion.instruments else { return };
         let sigma = 0.5 * (one.leak.sigma + two.leak.sigma);
+        let mut at = Vec::with_capacity(residuals.len());
+        for (k, window) in motion.windows.iter().enumerate().filter(|(k, _)| self.takes(part, *k)) {
+            let samples = self.samples(window).zip(&self.weights[k]);
+            at.extend(samples.map(|(n, weight)| weight * motion.drive_m_s2[n]));
+        }
         let (mut along, mut power) = (0.0, sigma.max(1e-300).powi(-2));
-        let windows = motion.windows.iter().enumerate().filter(|(k, _)| self.takes(part, *k));
-        let mut rest = &mut *residuals;
-        let mut of_windows = Vec::with_capacity(motion.windows.len());
-        for (k, window) in windows {
-            let (own, later) = std::mem::take(&mut rest).split_at_mut(self.weights[k].len());
-            rest = later;
-            for ((r, n), weight) in own.iter().zip(self.samples(window)).zip(&self.weights[k]) {
-                let table = weight * motion.drive_m_s2[n];
-                along += r * table;
-                power += table * table;
-            }
-            of_windows.push((k, window, own));
+        for (r, table) in residuals.iter().zip(&at) {
+            along += r * table;
+            power += table * table;
         }
         let leak = along / power;
-        for (k, window, own) in of_windows {
-            for ((r, n), weight) in own.iter_mut().zip(self.samples(window)).zip(&self.weights[k]) {
-                *r -= leak * weight * motion.drive_m_s2[n];
-            }
-        }
+        residuals.iter_mut().zip(&at).for_each(|(r, table)| *r -= leak * table);
     }
 
     /// Weight of a thinned sample of a window: one over its noise, 1/(m/s2); zero where it does not count.

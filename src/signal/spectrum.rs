@@ -5,7 +5,7 @@
 //! channel that starts or ends in motion does not ring.
 
 use super::hann;
-use realfft::{ComplexToReal, RealFftPlanner, RealToComplex, num_complex::Complex64};
+use realfft::{RealFftPlanner, num_complex::Complex64};
 use std::f64::consts::TAU;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -15,31 +15,18 @@ pub const TAPERED: f64 = 1.5;
 /// So many lengths keep their plans: a record's channels have few, and the tables of a long one take as much memory as a channel.
 const KEPT: usize = 4;
 
-static PLANS: Mutex<Vec<(usize, Plans)>> = Mutex::new(Vec::new());
+/// Planners of the lengths last asked for, the newest first; each keeps the plans that it has made.
+static PLANNERS: Mutex<Vec<(usize, RealFftPlanner<f64>)>> = Mutex::new(Vec::new());
 
-/// How channels of one length are transformed, there and back.
-#[derive(Clone)]
-struct Plans {
-    forward: Arc<dyn RealToComplex<f64>>,
-    inverse: Arc<dyn ComplexToReal<f64>>,
-}
-
-impl Plans {
-    /// Those of a length, made where they are not among the last ones asked for.
-    fn of(length: usize) -> Self {
-        let mut kept = PLANS.lock().unwrap_or_else(PoisonError::into_inner);
-        let plans = match kept.iter().position(|(of, _)| *of == length) {
-            Some(i) => kept.remove(i).1,
-            None => {
-                let mut planner = RealFftPlanner::new();
-                let (forward, inverse) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
-                Self { forward, inverse }
-            }
-        };
-        kept.insert(0, (length, plans.clone()));
-        kept.truncate(KEPT);
-        plans
+/// How channels of a length are transformed, there or back.
+fn planned<T: ?Sized>(length: usize, plan: fn(&mut RealFftPlanner<f64>, usize) -> Arc<T>) -> Arc<T> {
+    let mut kept = PLANNERS.lock().unwrap_or_else(PoisonError::into_inner);
+    match kept.iter().position(|(of, _)| *of == length) {
+        Some(i) => kept[..=i].rotate_right(1),
+        None => kept.insert(0, (length, RealFftPlanner::new())),
     }
+    kept.truncate(KEPT);
+    plan(&mut kept[0].1, length)
 }
 
 /// A real channel as its one-sided spectrum.
@@ -107,7 +94,7 @@ impl Spectrum {
 
     fn of_extended(mut extended: Vec<f64>, samples: usize, padding: usize, sample_rate_hz: f64) -> Self {
         let length = extended.len();
-        let plan = Plans::of(length).forward;
+        let plan = planned(length, RealFftPlanner::plan_fft_forward);
         let mut bins = plan.make_output_vec();
         // The lengths match by construction, so the transform cannot refuse.
         let _ = plan.process(&mut extended, &mut bins);
@@ -162,7 +149,7 @@ impl Spectrum {
 
     /// Inverse transform of all bins, without its scale.
     fn inverse(&mut self) -> Vec<f64> {
-        let plan = Plans::of(2 * (self.bins.len() - 1)).inverse;
+        let plan = planned(2 * (self.bins.len() - 1), RealFftPlanner::plan_fft_inverse);
         // The inverse of a real channel has real ends; rounding may have left an imaginary part.
         for end in [0, self.bins.len() - 1] {
             self.bins[end].im = 0.0;
