@@ -9,14 +9,14 @@ use hil_tests::hidden::{self, Hidden, Recipe};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 use shaketable::diagnose::next_test::{self, Reach, SweepProposal};
-use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose_together};
+use shaketable::diagnose::{Diagnosis, Options, Verdict, candidates, diagnose_together};
 
 /// Tests that are added at most.
 const ADDED: usize = 2;
 
 /// Effects that another one looks like on a single record.
 fn twins() -> Vec<&'static str> {
-    hidden::TWINS.concat()
+    candidates::TWINS.concat()
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -3,6 +3,7 @@
 
 use rand::{Rng, SeedableRng, prelude::Distribution};
 use rand_pcg::Pcg64;
+use shaketable::diagnose::candidates;
 use shaketable::diagnose::next_test::SweepProposal;
 use shaketable::identify::together::Setting;
 use shaketable::model::effects::{self, Sign};
@@ -101,18 +102,9 @@ pub fn studied() -> Vec<&'static str> {
         .collect()
 }
 
-/// Effects that do much the same to a record, by twos.
-pub const TWINS: [[&str; 2]; 5] = [
-    ["coulomb-friction", "stribeck-friction"],
-    ["maxwell-branch", "fractional-damping"],
-    ["bouc-wen-hysteresis", "iwan-hysteresis"],
-    ["hertz-contact", "bumper-stiffening"],
-    ["constant-force", "gap-asymmetry"],
-];
-
 /// An effect with the one that does much the same, if there is one.
 pub fn with_twin(name: &'static str) -> Vec<&'static str> {
-    TWINS.iter().find(|twins| twins.contains(&name)).map_or(vec![name], |twins| twins.to_vec())
+    std::iter::once(name).chain(candidates::twin(name)).collect()
 }
 
 /// Those of them that are no instrument.

@@ -52,8 +52,8 @@ const HELD: f64 = 0.01;
 /// Share of the largest displacement at which a knee beyond it is tried, if that is within so many deviations of its prior.
 const JUST: f64 = 0.985;
 const WIDELY: f64 = 3.0;
-/// Profiles of an explanation that may come upon a better place.
-const PROFILES: usize = 3;
+/// Profiles of an explanation; what the last one comes upon is left there.
+const PROFILES: usize = 4;
 /// Change of the response, in units of the noise, that is faint enough for first order; attempts to make a start as faint.
 const FAINT: f64 = 0.3;
 const FAINTER: usize = 3;
@@ -135,16 +135,16 @@ impl Searcher<'_> {
         let Some(measured) = self.measured.as_ref().filter(|measured| !measured.is_long()) else {
             return trial;
         };
-        for _ in 0..PROFILES {
+        for round in 1..=PROFILES {
             let Some(Response { training, left, .. }) = &trial.response else { break };
             let Refit { spec, numbers, .. } = &trial.refit;
             let profile = measured.profile(spec, numbers, training, left[0].colour);
-            let again = profile.better.and_then(|better| {
+            let again = profile.better.filter(|_| round < PROFILES).and_then(|better| {
                 let mut start = trial.clone();
                 numbers.put(&better.values, &mut start.refit.spec);
                 trial::respond(measured, &start, Some(&better), FURTHER_ON)
             });
-            match again.filter(|again| verdict::apart(again, &trial) > 0.0) {
+            match again.filter(|again| verdict::likelier(again, &trial) > 0.0) {
                 Some(again) => trial = again,
                 None => {
                     trial.refit.limits = self.whatever_the_shape(measured, &trial, profile.limits);
@@ -465,4 +465,33 @@ pub(super) fn first_of_each<T>(
     });
     *sorted = kept;
     left
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnose::search::Effort;
+    use crate::diagnose::testing::{seen, with};
+    use crate::identify::kinematics::Tolerances;
+    use crate::identify::motion::Motion;
+    use crate::model::testing::{b1_g2, effect};
+
+    #[test]
+    fn a_better_place_of_a_model_is_taken_whatever_its_freedom_is_worth_there() {
+        let mut truth = b1_g2();
+        truth.effects.push(effect("maxwell-branch", &[("km_n_m", 1500.0), ("tau_s", 0.08)]));
+        let motion = Motion::of(&seen(&truth, 38), 500.0, Tolerances::default()).expect("a motion");
+        let searcher = Searcher::new(&motion, &b1_g2(), Effort::default());
+        let base = searcher.base(&b1_g2()).expect("fits");
+        let start = effect("maxwell-branch", &[("km_n_m", 500.0), ("tau_s", 0.03)]);
+        let mut short = with(&searcher, &base, &[start], Settings { iterations: 1, ..Settings::default() });
+        let response = short.response.as_mut().expect("judged");
+        response.freedom_nats -= 1e6;
+        let before = response.training.total();
+        let bounded = searcher.bounded(short);
+        assert!(bounded.response.is_some_and(|after| after.training.total() < before - 100.0));
+        let told = bounded.refit.spec.effects[0].parameters["tau_s"];
+        assert!((told / 0.08 - 1.0).abs() < 0.05, "{told}");
+        assert_eq!(bounded.refit.limits.len(), bounded.refit.numbers.numbers.len());
+    }
 }

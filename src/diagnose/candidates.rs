@@ -42,6 +42,24 @@ pub fn contained_in(name: &str) -> &'static [&'static str] {
     }
 }
 
+/// Effects that do much the same to a record, by twos.
+pub const TWINS: [[&str; 2]; 5] = [
+    ["coulomb-friction", "stribeck-friction"],
+    ["maxwell-branch", "fractional-damping"],
+    ["bouc-wen-hysteresis", "iwan-hysteresis"],
+    ["hertz-contact", "bumper-stiffening"],
+    ["constant-force", "gap-asymmetry"],
+];
+
+/// The effect that does much the same as another, if there is one.
+pub fn twin(name: &str) -> Option<&'static str> {
+    TWINS.iter().find_map(|[one, other]| match name {
+        _ if name == *one => Some(*other),
+        _ if name == *other => Some(*one),
+        _ => None,
+    })
+}
+
 /// A number of an effect's shape that a model may leave out.
 pub struct Shape {
     /// Name of the parameter.

@@ -448,6 +448,10 @@ impl<'a> Searcher<'a> {
             }
             if gained {
                 self.exchange_first(&mut stage, &search.base);
+                if let Some(measured) = &self.measured {
+                    stage.finalists.extend(self.twins(measured, &stage.finalists, &search.base));
+                    best_first(&mut stage.finalists, &search.base);
+                }
             }
             parts::done("other first effects");
             search.stages.push(stage);

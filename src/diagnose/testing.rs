@@ -1,6 +1,11 @@
-//! Records for tests of fits and diagnosis: a coarse sweep as the instruments of the rig would show it.
+//! Records for tests of fits and diagnosis: a coarse sweep as the instruments of the rig would show it; and models fitted to them.
 
-use crate::model::{ModelSpec, Observer, Options, simulate_sweep};
+use super::candidates;
+use super::search::Searcher;
+use super::trial::{self, Trial};
+use crate::identify::least_squares::Settings;
+use crate::identify::refit::Refit;
+use crate::model::{EffectSpec, ModelSpec, Observer, Options, simulate_sweep};
 use crate::record::{Kind, Record};
 use crate::sweep::{Schedule, SweepSpec, Transition};
 use rand::{SeedableRng, prelude::Distribution};
@@ -30,4 +35,17 @@ pub fn seen(spec: &ModelSpec, seed: u64) -> Record {
     })
     .expect("runs");
     record
+}
+
+/// A fitted model with effects more, fitted by the response.
+pub fn with(searcher: &Searcher<'_>, base: &Trial, effects: &[EffectSpec], settings: Settings) -> Trial {
+    let scales = candidates::scales(&base.refit.spec, searcher.motion);
+    let (mut spec, mut numbers) = (base.refit.spec.clone(), base.refit.numbers.clone());
+    for effect in effects {
+        spec = candidates::beside(&spec, effect);
+        numbers.add_effect(&spec, spec.effects.len() - 1, &scales);
+    }
+    let names = effects.iter().map(|effect| effect.name.clone()).collect();
+    let trial = Trial { names, refit: Refit { spec, numbers, ..base.refit.clone() }, ..base.clone() };
+    trial::respond(searcher.measured.as_ref().expect("seen"), &trial, None, settings).expect("fits")
 }

@@ -181,6 +181,12 @@ pub fn apart(better: &Trial, worse: &Trial) -> f64 {
     gain(better, worse) + evidence(better, worse)
 }
 
+/// By how much a model is likelier with the numbers of the first of two fits of it than with those of the second, nats: what its freedom
+/// is worth where either ended says nothing of which is the better place.
+pub fn likelier(better: &Trial, worse: &Trial) -> f64 {
+    gain(better, worse) + better.training_gain(worse)
+}
+
 /// The better of two trials over the whole record, the first when neither is.
 pub fn better<'a>(best: &'a Trial, trial: &'a Trial) -> &'a Trial {
     if apart(trial, best) > 0.0 { trial } else { best }
