@@ -196,7 +196,9 @@ impl Searcher<'_> {
         let mut by_force = settled.map_or(Vec::new(), |settled| self.screen(&settled, &effects, &scales));
         by_force.truncate(SCORED);
         let before = pair.names.clone();
-        stage.finalists.extend(self.by_response(measured, &second, &by_force, &effects, &scales));
+        let known = Some(&*pair);
+        let others = self.by_response(measured, (&second, known), &by_force, &effects, &scales);
+        stage.finalists.extend(others);
         best_first(&mut stage.finalists, base);
         let Some(best) = stage.finalists.first_mut() else { return };
         let alone = if best.names == before {
@@ -227,11 +229,11 @@ impl Searcher<'_> {
     }
 
     /// Fits candidates by the simulated response: those that the force puts first, and those that the response itself does to
-    /// first order, from where each puts them.
+    /// first order, from where each puts them; no farther where an explanation is known that is far ahead.
     pub(super) fn by_response(
         &self,
         measured: &Measured<'_>,
-        from: &Trial,
+        (from, known): (&Trial, Option<&Trial>),
         by_force: &[(&'static str, Refit)],
         effects: &[&'static Effect],
         scales: &Scales,
@@ -298,7 +300,10 @@ impl Searcher<'_> {
         });
         let mut starts: Vec<ModelSpec> = first.into_iter().map(|(_, spec)| spec).collect();
         starts.extend(by_force.iter().map(|(_, refit)| refit.spec.clone()));
-        let contest = Contest::new(measured, from, scales, response.colour());
+        let mut contest = Contest::new(measured, from, scales, response.colour());
+        if let Some(known) = known {
+            contest = contest.against(known);
+        }
         let (tried, others) = contest.in_short(&starts);
         let hopeful = tried.iter().any(Entrant::is_hopeful);
         parts::done("short fits");
@@ -307,6 +312,11 @@ impl Searcher<'_> {
         // Nothing better need be looked for where the best brings nothing, of a long record or when no more was promised.
         let looked_for = !measured.is_long() && hopeful && (best > CHANCE || far);
         if !looked_for && finalists.first().is_none_or(|best| verdict::apart(best, from) <= 0.0) {
+            return finalists;
+        }
+        let behind =
+            |known: &Trial| finalists.first().is_none_or(|best| verdict::apart(known, best) > HOPELESS);
+        if !hopeful && known.is_some_and(behind) {
             return finalists;
         }
         contest.other_summits(others, &mut finalists);
@@ -382,7 +392,7 @@ impl Searcher<'_> {
         by_force: Refit,
     ) -> Option<Trial> {
         let (measured, scales) = (self.measured.as_ref()?, candidates::scales(&from.refit.spec, self.motion));
-        let fitted = self.by_response(measured, from, &[(effect.name, by_force)], &[effect], &scales);
+        let fitted = self.by_response(measured, (from, None), &[(effect.name, by_force)], &[effect], &scales);
         fitted.into_iter().find(|trial| verdict::last_name(trial) == effect.name)
     }
 }

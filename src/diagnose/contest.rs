@@ -44,6 +44,8 @@ pub(super) struct Contest<'c, 'a> {
     scales: &'c Scales,
     /// How many residuals count as one independent one.
     colour: f64,
+    /// What an explanation that is known already comes to over that part of the steps.
+    known: f64,
 }
 
 /// A start after a short fit.
@@ -79,7 +81,18 @@ impl Entrant {
 impl<'c, 'a> Contest<'c, 'a> {
     pub(super) fn new(measured: &'c Measured<'a>, from: &'c Trial, scales: &'c Scales, colour: f64) -> Self {
         let every = if measured.is_long() { THIRD } else { HALF };
-        Self { measured, some: measured.every(every), every, from, scales, colour: colour.max(1.0) }
+        let known = f64::INFINITY;
+        Self { measured, some: measured.every(every), every, from, scales, colour: colour.max(1.0), known }
+    }
+
+    /// The same against an explanation that is known already: what is far behind that, too, does not matter.
+    pub(super) fn against(self, known: &Trial) -> Self {
+        let Refit { spec, numbers, .. } = &known.refit;
+        let of_part = known
+            .response
+            .as_ref()
+            .and_then(|of| self.measured.of_every(self.every, spec, numbers, &of.training));
+        Self { known: of_part.unwrap_or(f64::INFINITY), ..self }
     }
 
     /// Nats of a cost over a part of the steps.
@@ -128,7 +141,8 @@ impl<'c, 'a> Contest<'c, 'a> {
         let tried = parallel::map(starts, parallel::cores(), short);
         let mut tried: Vec<Entrant> = tried.into_iter().flatten().collect();
         tried.sort_by(|a, b| a.short.total().total_cmp(&b.short.total()));
-        let Some(least) = tried.first().map(|first| first.short.total()) else { return (tried, Vec::new()) };
+        let Some(first) = tried.first() else { return (tried, Vec::new()) };
+        let least = first.short.total().min(self.known);
         let without = self.without();
         for of in &mut tried {
             let (total, promised) = (of.short.total(), of.short.promised());
@@ -260,6 +274,36 @@ mod tests {
         let (tried, _) = beside.in_short(&starts);
         assert_eq!(tried.len(), 2);
         tried.iter().filter(|of| of.is_hopeful()).filter_map(|of| Some(of.name()?.to_owned())).collect()
+    }
+
+    #[test]
+    fn what_is_far_behind_a_known_explanation_is_not_followed() {
+        let mut truth = b1_g2();
+        truth.effects.push(effect("coulomb-friction", &[("fc_n", 12.0)]));
+        let motion = Motion::of(&seen(&truth, 39), 500.0, Tolerances::default()).expect("a motion");
+        let searcher = Searcher::new(&motion, &b1_g2(), Effort::default());
+        let (base, measured) =
+            (searcher.base(&b1_g2()).expect("fits"), searcher.measured.as_ref().expect("seen"));
+        let scales = candidates::scales(&base.refit.spec, &motion);
+        let start = |name: &str, of: &str, value: f64| {
+            candidates::beside(&base.refit.spec, &effect(name, &[(of, value)]))
+        };
+        let (right, wrong) = (start("coulomb-friction", "fc_n", 10.0), start("bumper-preload", "f0_n", 5.0));
+        let contest =
+            || Contest::new(measured, &base, &scales, base.response.as_ref().expect("laid").colour());
+        let known = contest().in_full(contest().in_short(std::slice::from_ref(&right)).0).remove(0);
+        let of_part = contest().against(&known).known;
+        let whole = known.response.as_ref().expect("laid").training.total();
+        assert!((HALF as f64 * of_part / whole - 1.0).abs() < 0.2, "{of_part} of {whole}");
+        let hopeful = |contest: Contest<'_, '_>, start: &ModelSpec| {
+            contest.in_short(std::slice::from_ref(start)).0.iter().any(Entrant::is_hopeful)
+        };
+        // Alone it is the best there is; beside what is known it has no chance, which that itself has.
+        assert!(hopeful(contest(), &wrong));
+        let beside = contest().against(&known).in_short(std::slice::from_ref(&wrong)).0.remove(0);
+        assert!(!beside.is_hopeful(), "{} nats behind, {}", beside.behind, beside.short.promised());
+        let itself = contest().against(&known).in_short(std::slice::from_ref(&right)).0.remove(0);
+        assert!(itself.is_hopeful(), "{} nats behind, {}", itself.behind, itself.short.promised());
     }
 
     #[test]

@@ -233,7 +233,7 @@ impl<'a> Searcher<'a> {
         let finalists = match (&self.measured, &from.response) {
             (Some(measured), Some(_)) => {
                 best.truncate(pass.max(2));
-                self.by_response(measured, from, &best, &effects, &scales)
+                self.by_response(measured, (from, None), &best, &effects, &scales)
             }
             _ => {
                 best.truncate(pass);

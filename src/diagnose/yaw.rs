@@ -3,11 +3,13 @@
 //! ask for it.
 
 use super::instruments::{Estimate95, Finding};
+use crate::parallel;
 use crate::record::Record;
 use crate::record::mended::may_be_hum;
 use crate::signal::{Spectrum, TAPERED};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use realfft::num_complex::Complex64;
+use std::borrow::Cow;
 use std::f64::consts::TAU;
 
 /// Frequencies and damping ratios that the search begins from.
@@ -103,9 +105,14 @@ impl Spectra {
             pair.map(|(a, b)| 0.5 * of(*a, *b)).collect()
         };
         // Tapered: what one noisy sample at an end stands for beyond it would be several times the noise at low frequencies.
-        let difference = Spectrum::tapered(&half_of(&|a, b| a - b), rate);
-        let mean = Spectrum::tapered(&half_of(&|a, b| a + b), rate);
-        let table = Spectrum::tapered(&record.table_acceleration_m_s2, rate);
+        let channels = [
+            Cow::from(half_of(&|a, b| a - b)),
+            Cow::from(half_of(&|a, b| a + b)),
+            Cow::from(&record.table_acceleration_m_s2),
+        ];
+        let tapered = |channel: &Cow<'_, [f64]>| Spectrum::tapered(channel, rate);
+        let [difference, mean, table] =
+            parallel::map(&channels, parallel::cores(), tapered).try_into().ok()?;
         let of_difference = 0.25 * (noise[0].powi(2) + noise[1].powi(2)) * TAPERED;
         let noise_of_a_bin = of_difference * n as f64;
         let bins: Vec<usize> = difference
