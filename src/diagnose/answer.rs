@@ -1,6 +1,6 @@
 //! The answer of a diagnosis: what was decided, with its errors, numbers, intervals and notes.
 
-use super::by_response::ASTRAY;
+use super::anew::ASTRAY;
 use super::engine::Options;
 use super::instruments::Finding;
 use super::next_test::{self, Reach};

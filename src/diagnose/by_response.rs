@@ -1,16 +1,14 @@
-//! The part of the search that the simulated response decides: candidates are scored to first order, the best are fitted, and what
-//! contains a simpler effect is tried without it. The search calls it wherever a base record drives a simulation.
+//! The part of the search that the simulated response decides: candidates are scored to first order, and the best are fitted. The search
+//! calls it wherever a base record drives a simulation.
 
 use super::candidates;
-use super::contest::{Contest, Entrant, FURTHER_ON, HOPELESS, best_first};
+use super::contest::{Contest, Entrant, HOPELESS, best_first};
 use super::parts;
-use super::search::{Search, Searcher, Stage, UNSEEN};
-use super::trial::{self, Response, Trial};
+use super::search::Searcher;
+use super::trial::Trial;
 use super::verdict;
-use crate::identify::least_squares::Settings;
-use crate::identify::problem::Part;
 use crate::identify::refit::Refit;
-use crate::identify::response::{Measured, Score, Tangent, Until};
+use crate::identify::response::{Measured, Score, Tangent};
 use crate::model;
 use crate::model::effects::Effect;
 use crate::model::{EffectSpec, ModelSpec, Scales};
@@ -39,195 +37,11 @@ const SECOND: f64 = 10.0;
 /// nothing of the held-out steps.
 const FAINTLY: f64 = 30.0;
 const NEAR: f64 = 6.0;
-/// Nats by which a model has to do better when it is fitted again.
-const BETTER: f64 = 2.0;
-/// Nats that a simpler effect beside the one that contains it has to bring.
-const MERGED: f64 = 20.0;
-/// Rounds of a fit with another slow noise.
-const HEARD_ANEW: usize = 6;
-/// Deviations of its prior that a number of the model is from where it was given when it makes up for something; and the share of
-/// its prior's width that it is then left.
-pub(super) const ASTRAY: f64 = 5.0;
-const HELD: f64 = 0.01;
-/// Share of the largest displacement at which a knee beyond it is tried, if that is within so many deviations of its prior.
-const JUST: f64 = 0.985;
-const WIDELY: f64 = 3.0;
-/// Profiles of an explanation; what the last one comes upon is left there.
-const PROFILES: usize = 4;
 /// Change of the response, in units of the noise, that is faint enough for first order; attempts to make a start as faint.
 const FAINT: f64 = 0.3;
 const FAINTER: usize = 3;
 
 impl Searcher<'_> {
-    /// A model fitted again from where the best finalist beside it has put its numbers, when that does better: what it falls by is
-    /// no added effect's.
-    pub(super) fn better_placed(&self, stage: &Stage, from: &Trial) -> Option<Trial> {
-        let (measured, best) = (self.measured.as_ref()?, stage.finalists.first()?);
-        if best.names.len() != from.names.len() + 1 || !best.names.starts_with(&from.names) {
-            return None;
-        }
-        let training = &from.response.as_ref()?.training;
-        let mut spec = best.refit.spec.clone();
-        spec.effects.pop();
-        let start = Trial { refit: Refit { spec, ..from.refit.clone() }, ..from.clone() };
-        let settings = Settings { iterations: 20, ..Settings::default() };
-        let until = Until::better_than(training);
-        let (numbers, again) = trial::fit_response(measured, &start, None, settings, until)?;
-        let better = training.total() - again.total() > 2.0 * BETTER;
-        if better { trial::judge_response(measured, &start, numbers, again) } else { None }
-    }
-
-    /// Where a better model leaves another slow noise of the displacement sensor, everything found so far is fitted and judged with that:
-    /// what the model before lacked had posed as noise. What the stage goes on from, so fitted.
-    pub(super) fn heard_anew(&self, search: &mut Search, stage: &mut Stage, from: &Trial) -> Option<Trial> {
-        let (measured, best) = (self.measured.as_ref()?, stage.finalists.first()?);
-        let response = best.response.as_ref().filter(|_| verdict::apart(best, from) > 0.0)?;
-        let laid = [(Part::Training, &response.training), (Part::HeldOut, &response.held_out)];
-        if !measured.learn_slow_noise(&best.refit.spec, &best.refit.numbers, laid) {
-            return None;
-        }
-        let best = best.clone();
-        let again = |trial: &Trial| {
-            // What is hopelessly behind is laid anew as it is.
-            let iterations = if verdict::apart(&best, trial) > HOPELESS { 0 } else { HEARD_ANEW };
-            let settings = Settings { iterations, ..Settings::default() };
-            let laid = trial.response.as_ref().map(|response| &response.training);
-            trial::respond(measured, trial, laid, settings).unwrap_or_else(|| trial.clone())
-        };
-        let all = |trials: &mut Vec<Trial>| *trials = parallel::map(trials, parallel::cores(), again);
-        all(&mut stage.finalists);
-        search.stages.iter_mut().for_each(|stage| all(&mut stage.finalists));
-        search.base = again(&search.base);
-        let from = search.best().clone();
-        best_first(&mut stage.finalists, &from);
-        Some(from)
-    }
-
-    /// A fitted model in which numbers of its own went far from what they were given to make up for what is missing, fitted again with
-    /// those held where they were given: a missing effect may show only from there, and its fit then frees them.
-    pub(super) fn brought_back(&self, from: &Trial) -> Option<Trial> {
-        let measured = self.measured.as_ref().filter(|_| from.response.is_some())?;
-        let (mut held, mut spec) = (from.refit.numbers.clone(), from.refit.spec.clone());
-        held.start_from(&spec);
-        let mut astray = false;
-        for (number, free) in held.numbers.iter().zip(&mut held.free) {
-            let (mean, sigma) = free.prior;
-            if !number.key.starts_with("effect[") && (free.start - mean).abs() > ASTRAY * sigma {
-                spec.set(&number.key, mean).ok()?;
-                free.prior = (mean, HELD * sigma);
-                astray = true;
-            }
-        }
-        if !astray {
-            return None;
-        }
-        let free_again = from.refit.numbers.clone();
-        let start = Trial { refit: Refit { spec, numbers: held, ..from.refit.clone() }, ..from.clone() };
-        let settings = Settings { iterations: 8, ..Settings::default() };
-        let mut back = trial::respond(measured, &start, None, settings)?;
-        back.refit.numbers = free_again;
-        Some(back)
-    }
-
-    /// An explanation with the limits of its numbers by the profile of the likelihood; where that comes upon a better place, the fit goes
-    /// on from there. A long record leaves so little between them that a valley does not bend.
-    pub(super) fn bounded(&self, mut trial: Trial) -> Trial {
-        let Some(measured) = self.measured.as_ref().filter(|measured| !measured.is_long()) else {
-            return trial;
-        };
-        for round in 1..=PROFILES {
-            let Some(Response { training, left, .. }) = &trial.response else { break };
-            let Refit { spec, numbers, .. } = &trial.refit;
-            let profile = measured.profile(spec, numbers, training, left[0].colour);
-            let again = profile.better.filter(|_| round < PROFILES).and_then(|better| {
-                let mut start = trial.clone();
-                numbers.put(&better.values, &mut start.refit.spec);
-                trial::respond(measured, &start, Some(&better), FURTHER_ON)
-            });
-            match again.filter(|again| verdict::likelier(again, &trial) > 0.0) {
-                Some(again) => trial = again,
-                None => {
-                    trial.refit.limits = self.whatever_the_shape(measured, &trial, profile.limits);
-                    break;
-                }
-            }
-        }
-        trial
-    }
-
-    /// An effect that contains the one before it (Stribeck's friction and Coulomb's) may do alone.
-    pub(super) fn merge(&self, stage: &mut Stage, base: &Trial) {
-        let Some(measured) = &self.measured else { return };
-        let settings = Settings { iterations: 12, ..Settings::default() };
-        for trial in &mut stage.finalists {
-            let [simple, whole] = trial.names.as_slice() else { continue };
-            if !candidates::contained_in(whole).contains(&simple.as_str()) {
-                continue;
-            }
-            let alone = self.second_alone(base, trial);
-            if let Some(alone) = trial::respond(measured, &alone, None, settings)
-                && verdict::apart(trial, &alone) < MERGED
-            {
-                *trial = alone;
-            }
-        }
-    }
-
-    /// Pairs of the second effect of the best one with another first: greedy search starts without the second, and which the first
-    /// is may show only beside it. It may do without any, too, where its shape came only with the pair.
-    pub(super) fn exchange_first(&self, stage: &mut Stage, base: &Trial) {
-        let Some(pair) = stage.finalists.first_mut() else { return };
-        let [one, _] = pair.names.as_slice() else { return };
-        let Some(measured) = &self.measured else {
-            if let Some(alone) = self.second_by_force(base, pair) {
-                *pair = alone;
-            }
-            return;
-        };
-        let settings = Settings { iterations: 12, ..Settings::default() };
-        let second = trial::respond(measured, &self.second_alone(base, pair), None, settings);
-        let Some(second) = second else { return };
-        let spec = &second.refit.spec;
-        let scales = candidates::scales(spec, self.motion);
-        let mut effects = self.candidates(spec);
-        effects.retain(|effect| effect.name != *one);
-        // Without the first, much is left: the force sorts out.
-        let settled = if second.is_far() { self.settled(&second) } else { None };
-        let mut by_force = settled.map_or(Vec::new(), |settled| self.screen(&settled, &effects, &scales));
-        by_force.truncate(SCORED);
-        let before = pair.names.clone();
-        let known = Some(&*pair);
-        let others = self.by_response(measured, (&second, known), &by_force, &effects, &scales);
-        stage.finalists.extend(others);
-        best_first(&mut stage.finalists, base);
-        let Some(best) = stage.finalists.first_mut() else { return };
-        let alone = if best.names == before {
-            Some(second)
-        } else {
-            trial::respond(measured, &self.second_alone(base, best), None, settings)
-        };
-        if let Some(alone) = alone.filter(|alone| verdict::apart(best, alone) < MERGED) {
-            *best = alone;
-        }
-    }
-
-    /// A pair without its first effect by the force along the measured motion, where that is no worse: play bends a line, too.
-    fn second_by_force(&self, base: &Trial, pair: &Trial) -> Option<Trial> {
-        let alone = self.fitted_by_force(&self.second_alone(base, pair))?;
-        (verdict::apart(pair, &alone) < MERGED).then_some(alone)
-    }
-
-    /// A pair without its first effect, to be fitted.
-    fn second_alone(&self, base: &Trial, pair: &Trial) -> Trial {
-        let mut spec = pair.refit.spec.clone();
-        spec.effects.remove(spec.effects.len() - 2);
-        let mut numbers = base.refit.numbers.clone();
-        let scales = candidates::scales(&base.refit.spec, self.motion);
-        numbers.add_effect(&spec, spec.effects.len() - 1, &scales);
-        let refit = Refit { spec, numbers, ..base.refit.clone() };
-        Trial { names: vec![verdict::last_name(pair)], refit, ..base.clone() }
-    }
-
     /// Fits candidates by the simulated response: those that the force puts first, and those that the response itself does to
     /// first order, from where each puts them; no farther where an explanation is known that is far ahead.
     pub(super) fn by_response(
@@ -344,46 +158,6 @@ impl Searcher<'_> {
         finalists
     }
 
-    /// A way from far off takes longer; it may have begun in a wrong direction, from where numbers of the model's own made up for what
-    /// is there now, or have left a knee beyond the motion.
-    fn go_on(&self, measured: &Measured<'_>, best: &mut Trial) {
-        let take = |arrived: Option<Trial>, best: &mut Trial| {
-            if let Some(arrived) = arrived.filter(|arrived| verdict::apart(arrived, best) > 0.0) {
-                *best = arrived;
-            }
-        };
-        if let (true, Some(response)) = (best.is_far(), &best.response) {
-            take(trial::respond(measured, best, Some(&response.training), FURTHER_ON), best);
-        }
-        if let Some(back) = self.brought_back(best) {
-            take(trial::respond(measured, &back, None, FURTHER_ON), best);
-        }
-        for within in self.knees_within(best) {
-            take(trial::respond(measured, &within, None, FURTHER_ON), best);
-        }
-    }
-
-    /// A fitted model with a knee just within the motion that was left beyond it, where it has no slope to follow, although it may well
-    /// lie within.
-    fn knees_within(&self, best: &Trial) -> Vec<Trial> {
-        let motion = self.motion;
-        let fitted = motion.windows.iter().filter(|window| !window.held_out);
-        let reach_m = fitted
-            .flat_map(|window| &motion.displacement_m[window.range.clone()])
-            .fold(0.0_f64, |reach, d| reach.max(d.abs()));
-        let Refit { numbers, sigmas, .. } = &best.refit;
-        let tried =
-            numbers.numbers.iter().zip(&numbers.free).zip(sigmas).filter_map(|((number, free), sigma)| {
-                let (mean, width) = free.prior;
-                let within_m = JUST * reach_m;
-                let knee = number.key.starts_with("isolator.breakpoints_m");
-                let may = knee && *sigma > UNSEEN * width && (mean - within_m).abs() < WIDELY * width;
-                let mut start = best.clone();
-                (may && start.refit.spec.set(&number.key, within_m).is_ok()).then_some(start)
-            });
-        tried.collect()
-    }
-
     /// One effect alone on top of a fitted model, a fit of it by force at hand.
     pub(super) fn with_effect(
         &self,
@@ -475,33 +249,4 @@ pub(super) fn first_of_each<T>(
     });
     *sorted = kept;
     left
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::diagnose::search::Effort;
-    use crate::diagnose::testing::{seen, with};
-    use crate::identify::kinematics::Tolerances;
-    use crate::identify::motion::Motion;
-    use crate::model::testing::{b1_g2, effect};
-
-    #[test]
-    fn a_better_place_of_a_model_is_taken_whatever_its_freedom_is_worth_there() {
-        let mut truth = b1_g2();
-        truth.effects.push(effect("maxwell-branch", &[("km_n_m", 1500.0), ("tau_s", 0.08)]));
-        let motion = Motion::of(&seen(&truth, 38), 500.0, Tolerances::default()).expect("a motion");
-        let searcher = Searcher::new(&motion, &b1_g2(), Effort::default());
-        let base = searcher.base(&b1_g2()).expect("fits");
-        let start = effect("maxwell-branch", &[("km_n_m", 500.0), ("tau_s", 0.03)]);
-        let mut short = with(&searcher, &base, &[start], Settings { iterations: 1, ..Settings::default() });
-        let response = short.response.as_mut().expect("judged");
-        response.freedom_nats -= 1e6;
-        let before = response.training.total();
-        let bounded = searcher.bounded(short);
-        assert!(bounded.response.is_some_and(|after| after.training.total() < before - 100.0));
-        let told = bounded.refit.spec.effects[0].parameters["tau_s"];
-        assert!((told / 0.08 - 1.0).abs() < 0.05, "{told}");
-        assert_eq!(bounded.refit.limits.len(), bounded.refit.numbers.numbers.len());
-    }
 }

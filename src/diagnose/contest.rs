@@ -87,11 +87,9 @@ impl<'c, 'a> Contest<'c, 'a> {
 
     /// The same against an explanation that is known already: what is far behind that, too, does not matter.
     pub(super) fn against(self, known: &Trial) -> Self {
-        let Refit { spec, numbers, .. } = &known.refit;
-        let of_part = known
-            .response
-            .as_ref()
-            .and_then(|of| self.measured.of_every(self.every, spec, numbers, &of.training));
+        let response = known.response.as_ref();
+        let of_part =
+            response.and_then(|of| self.measured.of_every(self.every, &known.refit.spec, &of.training));
         Self { known: of_part.unwrap_or(f64::INFINITY), ..self }
     }
 

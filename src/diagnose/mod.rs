@@ -2,6 +2,7 @@
 //! effects.
 
 pub mod adding;
+mod anew;
 mod answer;
 mod by_response;
 pub mod candidates;
@@ -15,6 +16,7 @@ pub mod live;
 pub mod missing_force;
 pub mod next_test;
 pub mod out_there;
+mod pairs;
 pub mod parts;
 pub mod report;
 pub mod search;

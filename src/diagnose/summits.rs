@@ -166,51 +166,6 @@ impl Searcher<'_> {
         trial::respond(measured, &with_last(best, spec, scales)?, None, FURTHER_ON)
     }
 
-    /// What does much the same as an effect of the best pair and was not fitted beside the other one, from where the pair has the model's
-    /// own numbers: with those off, the two look alike, or the one does that bends more.
-    pub(super) fn twins(&self, measured: &Measured<'_>, finalists: &[Trial], base: &Trial) -> Vec<Trial> {
-        let Some(pair) = finalists.first().filter(|best| best.names.len() > 1) else { return Vec::new() };
-        let untried = |names: &[String]| {
-            let same = |trial: &Trial| names.iter().all(|name| trial.names.contains(name));
-            !finalists.iter().any(same)
-        };
-        let starts: Vec<Vec<Trial>> =
-            (0..pair.names.len()).map(|which| self.twins_of(pair, which, base)).collect();
-        let some = measured.every(HALF);
-        let arrived = starts.iter().filter(|starts| starts.first().is_some_and(|s| untried(&s.names)));
-        let arrived = arrived.filter_map(|starts| {
-            let tried = parallel::map(starts, parallel::cores(), |start| in_short(&some, start));
-            let best = tried.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0));
-            best.and_then(|(_, start)| trial::respond(measured, &start, None, FURTHER_ON))
-        });
-        arrived.collect()
-    }
-
-    /// Starts of the twin of an effect of an explanation in its place, to be fitted.
-    fn twins_of(&self, from: &Trial, which: usize, base: &Trial) -> Vec<Trial> {
-        let mut without = from.clone();
-        let known = without.refit.spec.effects.len() - without.names.len();
-        without.names.remove(which);
-        without.refit.spec.effects.remove(known + which);
-        let scales = candidates::scales(&base.refit.spec, self.motion);
-        without.refit.numbers = base.refit.numbers.clone();
-        for index in known..without.refit.spec.effects.len() {
-            without.refit.numbers.add_effect(&without.refit.spec, index, &scales);
-        }
-        let twin = candidates::twin(&from.names[which]).and_then(|name| {
-            self.candidates(&without.refit.spec).into_iter().find(|effect| effect.name == name)
-        });
-        let starts = twin.map_or(Vec::new(), |twin| candidates::starts(twin, &scales));
-        let with = |start: &EffectSpec| {
-            let mut trial = without.clone();
-            trial.names.push(start.name.clone());
-            trial.refit.spec = candidates::beside(&without.refit.spec, start);
-            trial.refit.numbers.add_effect(&trial.refit.spec, trial.refit.spec.effects.len() - 1, &scales);
-            trial
-        };
-        starts.iter().map(with).collect()
-    }
-
     /// Coulomb's friction that turns round smoothly beside one that sticks, where friction does best: Stribeck's makes up for it with a
     /// damping that is off.
     pub(super) fn turning(
@@ -241,7 +196,7 @@ impl Searcher<'_> {
 }
 
 /// A model fitted in short: what is left, and where it ended.
-fn in_short(some: &Measured<'_>, start: &Trial) -> Option<(f64, Trial)> {
+pub(super) fn in_short(some: &Measured<'_>, start: &Trial) -> Option<(f64, Trial)> {
     let (numbers, laid) = trial::fit_response(some, start, None, SORTED_OUT, Until::default())?;
     let mut ended = start.clone();
     numbers.put(&laid.values, &mut ended.refit.spec);
@@ -348,30 +303,6 @@ mod tests {
         assert!(searcher.level(measured, Some(&own), &scales).is_none());
         let without = Searcher::new(&motion, &b1_g2(), Effort::default()).without(&["coulomb-friction"]);
         assert!(without.level(measured, Some(&whole), &scales).is_none());
-    }
-
-    #[test]
-    fn a_pair_is_laid_against_what_does_much_the_same_as_either() {
-        let mut truth = b1_g2();
-        let fades = effect("stiffness-degradation", &[("delta", 0.1), ("tau_s", 60.0)]);
-        let branch = effect("maxwell-branch", &[("km_n_m", 1500.0), ("tau_s", 0.08)]);
-        truth.effects.extend([fades.clone(), branch.clone()]);
-        let motion = Motion::of(&seen(&truth, 37), 500.0, Tolerances::default()).expect("a motion");
-        let searcher = Searcher::new(&motion, &b1_g2(), Effort::default());
-        let (base, measured) =
-            (searcher.base(&b1_g2()).expect("fits"), searcher.measured.as_ref().expect("seen"));
-        let springpot = effect("fractional-damping", &[("ca", 150.0), ("alpha", 0.6)]);
-        let pair = with(&searcher, &base, &[fades.clone(), springpot], OF_SHAPE);
-        let laid = searcher.twins(measured, std::slice::from_ref(&pair), &base);
-        let [twin] = laid.as_slice() else { panic!("{} for one springpot", laid.len()) };
-        assert_eq!(twin.names, ["stiffness-degradation", "maxwell-branch"]);
-        assert!(verdict::apart(twin, &pair) > HOPELESS, "{}", verdict::apart(twin, &pair));
-        let told = twin.refit.spec.effects[1].parameters["tau_s"];
-        assert!((told / 0.08 - 1.0).abs() < 0.1, "{told}");
-        // What was laid beside it, or is no pair, is not again.
-        assert!(searcher.twins(measured, &[pair.clone(), twin.clone()], &base).is_empty());
-        let alone = with(&searcher, &base, &[branch], SORTED_OUT);
-        assert!(searcher.twins(measured, &[alone], &base).is_empty());
     }
 
     #[test]

@@ -1,7 +1,6 @@
 //! When a fit that is on its way is not worth going on. The descent asks at each round.
 
 use super::{Laid, Measured};
-use crate::identify::numbers::Numbers;
 use crate::identify::problem::Part;
 use crate::model::ModelSpec;
 
@@ -39,11 +38,9 @@ impl<'b> Until<'b> {
 impl Measured<'_> {
     /// What a fitted model comes to over every so many of the steps that it was fitted to, its priors included: what fits of these alone
     /// are measured by. `None` where it cannot be simulated.
-    pub fn of_every(&self, steps: usize, spec: &ModelSpec, numbers: &Numbers, laid: &Laid) -> Option<f64> {
-        let mut fitted = spec.clone();
-        numbers.put(&laid.values, &mut fitted).then_some(())?;
+    pub fn of_every(&self, steps: usize, fitted: &ModelSpec, laid: &Laid) -> Option<f64> {
         let nuisances: Vec<_> = laid.nuisances.iter().step_by(steps.max(1)).cloned().collect();
-        let (cost, _) = self.every(steps).lay(&fitted, Part::Training, &laid.values, &nuisances)?;
+        let (cost, _) = self.every(steps).lay(fitted, Part::Training, &laid.values, &nuisances)?;
         Some(cost + laid.prior)
     }
 }
