@@ -198,7 +198,10 @@ impl Trial {
 
     /// Standard deviation of the excess of a response that leaves nothing but white noise.
     pub fn chance(&self) -> f64 {
-        (self.response.as_ref().map_or(0, Response::count).max(1) as f64).sqrt().recip()
+        self.response.as_ref().map_or(f64::INFINITY, |response| {
+            let [fitted, held_out] = response.left;
+            0.5 * fitted.chance.hypot(held_out.chance)
+        })
     }
 
     /// Whether its simulated response is too far off for first order.

@@ -13,8 +13,10 @@ const ELSEWHERE: f64 = 0.15;
 /// What is left in the residuals of a part.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Left {
-    /// Covariance of neighbouring residuals, in units of the noise: noise has none, whatever its level.
+    /// Covariance of neighbouring residuals, in units of the noise, its mean over the steps: noise has none, whatever its level.
     pub excess: f64,
+    /// Standard deviation of that where nothing but white noise is left.
+    pub chance: f64,
     /// How many residuals count as one independent one.
     pub colour: f64,
     /// Mean square over that of the noise, its median over the steps.
@@ -55,7 +57,7 @@ impl Measured<'_> {
     /// What is left of the residuals of a part.
     pub fn left(&self, spec: &ModelSpec, part: Part, laid: &Laid) -> Option<Left> {
         let (_, steps) = self.lay(spec, part, &laid.values, &laid.nuisances)?;
-        let (mut power, mut count) = (0.0, 0usize);
+        let (mut power, mut count, mut variance) = (0.0, 0usize, 0.0);
         let mut means: Vec<f64> = Vec::with_capacity(steps.len());
         let mut neighbours: Vec<f64> = Vec::with_capacity(steps.len());
         // Sums of products at lags that grow by a quarter, each standing for those it skips.
@@ -69,6 +71,7 @@ impl Measured<'_> {
         for step in &steps {
             let chi2 = dot(&step.residuals, &step.residuals);
             let counted = self.count(step.window);
+            variance += 1.0 / counted as f64;
             let weight = robust(chi2, counted).1;
             means.push(chi2 / counted as f64);
             let pairs =
@@ -95,6 +98,7 @@ impl Measured<'_> {
         neighbours.truncate(neighbours.len() - (ELSEWHERE * neighbours.len() as f64) as usize);
         Some(Left {
             excess: (neighbours.iter().sum::<f64>() / neighbours.len().max(1) as f64).max(0.0),
+            chance: variance.sqrt() / steps.len().max(1) as f64,
             colour,
             median: means.get(means.len() / 2).copied().unwrap_or(f64::INFINITY),
         })

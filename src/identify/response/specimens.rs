@@ -7,11 +7,18 @@ use crate::identify::motion::Window;
 use crate::identify::together::Source;
 use crate::model::{self, EffectSpec, ModelSpec, Specimen, effects};
 
+/// Cycles before a step in which the tips of the bumpers have come to where they are; the same where those of either side are not back
+/// before they touch again.
+const RETURNING: f64 = 0.5;
+const CREEPING: f64 = 1.5;
+
 /// The model as it stood at each record.
 pub(super) struct Specimens {
     pub(super) each: Vec<Box<dyn Specimen>>,
     /// An effect has states of its own.
     pub(super) hidden: bool,
+    /// Tips of the bumpers come back by a power law, as long as there is no contact.
+    creeps: bool,
     /// An effect forgets by a power law: slower than in the cycles before a step.
     pub(super) remembers: bool,
     /// The table moves otherwise than it is driven.
@@ -60,8 +67,9 @@ impl Measured<'_> {
         let mut first = window.warm_from.min(last);
         if !specimens.hidden {
             // Nothing but the tips of the bumpers to bring to where they are.
-            let half_cycle = 0.5 * motion.sample_rate_hz / window.frequency_hz.max(1e-9);
-            first = first.max(last.saturating_sub(half_cycle as usize));
+            let cycles = if specimens.creeps { CREEPING } else { RETURNING };
+            let samples = cycles * motion.sample_rate_hz / window.frequency_hz.max(1e-9);
+            first = first.max(last.saturating_sub(samples as usize));
         }
         specimen.set_time_s(source.time_s(first, motion.dt_s()));
         if specimens.remembers {
@@ -107,13 +115,15 @@ impl Measured<'_> {
         let sources = &self.motion.sources;
         let build = |source: &Source| model::build(&source.setting.of(spec), self.motion.dt_s()).ok();
         let has = |name: &str| spec.effects.iter().any(|effect| effect.name == name);
-        let (remembers, kicks) = (has("fractional-damping"), has("table-interaction"));
+        let (remembers, kicks, creeps) =
+            (has("fractional-damping"), has("table-interaction"), has("hertz-contact"));
         let stateless = |effect: &EffectSpec| effects::find(&effect.name).is_ok_and(|e| e.states.is_empty());
         let hidden = !spec.effects.iter().all(stateless);
         let share = self.motion.driven_by(spec);
         Some(Specimens {
             each: sources.iter().map(build).collect::<Option<_>>()?,
             hidden,
+            creeps,
             remembers,
             kicks,
             share,

@@ -246,6 +246,40 @@ fn a_hysteresis_is_told_of_the_reversals_before_a_step() {
 }
 
 #[test]
+fn tips_that_creep_back_have_come_to_where_they_are_before_a_step() {
+    let mut truth = b1_g2();
+    truth.effects.push(effect("hertz-contact", &[("kh", 3e9), ("n", 3.0)]));
+    let motion = Motion::of(&seen(&truth, 24), 500.0, Tolerances::default()).expect("a motion");
+    let measured = Measured::new(&motion).expect("a base record");
+    let cost = |spec: &ModelSpec| {
+        let (numbers, settings) = (Numbers::default(), Settings::default());
+        measured.fit(spec, &numbers, 0.0, None, settings).expect("laid").cost
+    };
+    // Beside a state that does nothing, all of the cycles before a step are gone through.
+    let mut from_farther_back = truth.clone();
+    from_farther_back.effects.push(effect("maxwell-branch", &[("km_n_m", 1e-9), ("tau_s", 0.1)]));
+    let (cost, farther_back) = (cost(&truth), cost(&from_farther_back));
+    assert!((cost - farther_back).abs() < 2.0, "{cost} {farther_back}");
+}
+
+#[test]
+fn what_noise_leaves_of_structure_is_what_chance_gives_it() {
+    let of = |seed: u64| {
+        let motion = Motion::of(&seen(&b1_g2(), seed), 500.0, Tolerances::default()).expect("a motion");
+        let measured = Measured::new(&motion).expect("a base record");
+        let laid = measured.fit(&b1_g2(), &Numbers::default(), 0.0, None, Settings::default()).expect("laid");
+        let Left { excess, chance, .. } = measured.left(&b1_g2(), Part::Training, &laid).expect("finite");
+        // Steps count alike, of fewer samples each than all have together.
+        assert!(chance > 1.05 / (laid.count as f64).sqrt(), "{chance} of {}", laid.count);
+        excess / chance
+    };
+    let deviations: Vec<f64> = (50..62).map(of).collect();
+    let squares = deviations.iter().map(|x| x * x).sum::<f64>() / deviations.len() as f64;
+    // Half of them are below zero, which is none.
+    assert!((0.1..1.2).contains(&squares), "{deviations:?}");
+}
+
+#[test]
 fn along_a_number_that_the_record_tells_the_profile_says_what_the_curvature_does_and_finds_a_better_place() {
     let mut truth = b1_g2();
     truth.effects.push(effect("quadratic-damping", &[("c2_n_s2_m2", 400.0)]));
