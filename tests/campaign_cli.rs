@@ -2,13 +2,16 @@
 //! same time and merged.
 
 mod common;
+#[path = "common/waiting.rs"]
+mod waiting;
 
-use common::{json, shaketable, wait_for};
+use common::{json, shaketable};
 use serde_json::Value;
 use shaketable::record::folder::{self, RunState};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use waiting::wait_for;
 
 const CAMPAIGN: &str = r#"
 name = "short"

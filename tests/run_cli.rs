@@ -1,12 +1,15 @@
 //! The command line of a run, as a script sees it: JSON, exit codes, determinism, a killed process.
 
 mod common;
+#[path = "common/waiting.rs"]
+mod waiting;
 
-use common::{json, shaketable, wait_for};
+use common::{json, shaketable};
 use serde_json::Value;
 use shaketable::record::samples::SampleReader;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use waiting::wait_for;
 
 fn run(out: &Path, more: &[&str]) -> Value {
     let out = out.to_str().expect("a path");

@@ -90,7 +90,7 @@ enum Command {
     Export(export::Args),
     /// Emulate the devices of a rig: DAQ on a pseudo terminal, drive on a CAN interface.
     Emulate(emulate::Args),
-    /// Measure the control thread on this machine.
+    /// Measure what this machine gets: control thread, model, comparison, diagnosis.
     Bench(bench::Args),
     /// Response of a model to a sweep on an ideal table.
     Simulate(simulate::Args),

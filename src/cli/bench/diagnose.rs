@@ -8,7 +8,7 @@ use crate::diagnose::{Options, diagnose, parts};
 use crate::model::{Scales, effects};
 use crate::units::SAMPLE_RATE_HZ;
 use rustix::time::{ClockId, clock_gettime};
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 use tracing::Event;
@@ -79,12 +79,17 @@ impl Visit for Part {
 pub fn execute(args: &DiagnoseArgs, json: bool) -> Result<Outcome, CliError> {
     let model = read_model(PAPERS_MODEL)?;
     let scales = Scales::of_spec(&model, 1.0 / SAMPLE_RATE_HZ);
-    let mut told = Vec::new();
+    // A name that is not known is refused before any time is spent.
+    let mut specimens = Vec::with_capacity(args.effects.len());
     for name in &args.effects {
         let mut specimen = model.clone();
         if name != "none" {
             specimen.effects.push(effects::find(name).map_err(CliError::usage)?.starting_spec(&scales));
         }
+        specimens.push((name, specimen));
+    }
+    let mut told = Vec::new();
+    for (name, specimen) in specimens {
         let record = sweep(&specimen)?;
         let watch = Arc::new(Mutex::new(Watch { times: Vec::new(), last: now() }));
         let subscriber = tracing_subscriber::registry().with(Listener(Arc::clone(&watch)));
@@ -112,7 +117,7 @@ pub fn execute(args: &DiagnoseArgs, json: bool) -> Result<Outcome, CliError> {
         }
     }
     if json {
-        println!("{}", Value::Array(told));
+        println!("{}", json!({ "sweeps": told }));
     }
     Ok(Outcome::Done)
 }

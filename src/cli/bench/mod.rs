@@ -19,7 +19,7 @@ use crate::sweep::{SweepDirection, SweepSpec};
 /// The model whose sweep is timed: the paper's, B1-G2.
 const PAPERS_MODEL: &str = "andreaus-2020-b1-g2";
 
-/// Measure the control thread on this machine.
+/// Measure what this machine gets: control thread, model, comparison, diagnosis.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]
