@@ -28,7 +28,7 @@ pub static EFFECT: Effect = Effect {
                 TURNING,
                 "m/s",
                 "velocity over which the force turns round; it sticks when left out",
-                (0.0, 0.3 * s.velocity_m_s),
+                (0.0, 0.1 * s.velocity_m_s),
                 0.01 * s.velocity_m_s,
             )
             .optional(0.0),
