@@ -49,6 +49,10 @@ fn a_hysteresis_of_another_sharpness_than_it_is_first_taken_for_is_named_alone()
         assert_eq!((found.verdict, named), (Verdict::Missing, vec!["bouc-wen-hysteresis"]), "seed {seed}");
         let n = &found.effects[0].parameters["n"];
         assert!(n.low95 < sharpness && sharpness < n.high95, "{n:?}");
+        // It has no unit, the stiffness beside it has.
+        let text = found.text();
+        let line = |name: &str| text.lines().find(|line| line.trim_start().starts_with(name)).expect("told");
+        assert!(!line("n = ").contains(" 1 (") && line("kh_n_m = ").contains(" N/m (95 %"), "{text}");
     }
 }
 

@@ -152,10 +152,11 @@ impl Diagnosis {
         for effect in &self.effects {
             line(format!("  {} (probability {:.2})", effect.name, effect.probability));
             for (name, p) in &effect.parameters {
+                // A number without a unit has none behind it.
+                let unit = if p.unit == "1" { String::new() } else { format!(" {}", p.unit) };
                 line(format!(
-                    "    {name} = {} {} (95 %: {} to {})",
+                    "    {name} = {}{unit} (95 %: {} to {})",
                     Short(p.value),
-                    p.unit,
                     Short(p.low95),
                     Short(p.high95)
                 ));

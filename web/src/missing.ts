@@ -4,7 +4,7 @@
 import { get, post, run } from "./api";
 import { Plot, cells, sign } from "./plots";
 import type { Diagnosis, Entry, Expected, Job, Parameter, RunShort, SetUp, Status, Step, Sweep } from "./types";
-import { duration, fill, h, ink, percent, short, tell, trying } from "./ui";
+import { duration, fill, h, ink, percent, quantity, short, tell, trying } from "./ui";
 
 const VERDICTS: Record<string, string> = {
   adequate: "Adequate: nothing is missing beyond the noise and the parameters' own uncertainty.",
@@ -84,7 +84,7 @@ export class Missing {
     this.drawLadder(d);
     fill(this.effects, d.effects.length > 0 && h("table", { class: "small" }, h("thead", {}, h("tr", {}, ["effect", "probability", "parameters (95 %)", "error with it", ""].map((t) => h("th", {}, t)))),
       h("tbody", {}, d.effects.map((e) => h("tr", {}, h("td", {}, h("b", {}, e.name)), h("td", {}, h("meter", { min: 0, max: 1, value: e.probability, "aria-label": "probability" }), ` ${percent(e.probability, 0)}`),
-        h("td", {}, Object.entries(e.parameters).map(([name, p]) => h("div", {}, `${name} ${short(p.value)} ${p.unit} `, h("span", { class: "quiet" }, `(${short(p.low95)} to ${short(p.high95)})`)))),
+        h("td", {}, Object.entries(e.parameters).map(([name, p]) => h("div", {}, `${name} ${quantity(p.value, p.unit)} `, h("span", { class: "quiet" }, `(${short(p.low95)} to ${short(p.high95)})`)))),
         h("td", {}, percent(e.error_after, 2)),
         h("td", { class: "row" }, h("button", { onclick: () => this.try(e.name, Object.fromEntries(Object.entries(e.parameters).map(([n, p]) => [n, p.value]))) }, "Try"),
           h("button", { class: "loud", "data-add": e.name, onclick: (event: Event) => void this.add(e.name, Object.fromEntries(Object.entries(e.parameters).map(([n, p]) => [n, p.value])), event.currentTarget as HTMLButtonElement) }, "Add")))))));
@@ -155,10 +155,10 @@ export class Missing {
     const [low, high] = p.prior;
     const scale = p.log_scale && low > 0;
     const ends = scale ? [Math.log10(low), Math.log10(high)] : p.sign === "either" ? [-high, high] : [low, high];
-    const shown = h("output", {}, `${short(start)} ${p.unit}`);
-    const input = h("input", { type: "range", min: String(ends[0]), max: String(ends[1]), step: "any", "aria-label": `${p.name}, ${p.unit}`, oninput: () => {
+    const shown = h("output", {}, quantity(start, p.unit));
+    const input = h("input", { type: "range", min: String(ends[0]), max: String(ends[1]), step: "any", "aria-label": p.unit === "1" ? p.name : `${p.name}, ${p.unit}`, oninput: () => {
       const value = scale ? 10 ** Number(input.value) : Number(input.value);
-      shown.textContent = `${short(value)} ${p.unit}`;
+      shown.textContent = quantity(value, p.unit);
       set(value);
     } });
     input.value = String(scale ? Math.log10(Math.max(start, 1e-30)) : start);

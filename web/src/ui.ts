@@ -45,6 +45,9 @@ export function short(x: number | null | undefined): string {
   return size !== 0 && (size < 1e-3 || size >= 1e6) ? x.toExponential(2) : String(Number(x.toPrecision(4)));
 }
 
+/** The same with its unit; a number without one ("1") stands alone. */
+export const quantity = (x: number | null | undefined, unit: string): string => (unit === "1" ? short(x) : `${short(x)} ${unit}`);
+
 /** A time as operators say it. */
 export function duration(s: number): string {
   if (!Number.isFinite(s)) return "–";
