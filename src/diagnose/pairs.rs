@@ -108,8 +108,8 @@ impl Searcher<'_> {
                 return None;
             }
             let starts = self.starts_beside(&without, twin, base);
-            let tried = parallel::map(&starts, parallel::cores(), |start| in_short(&some, start));
-            let (_, best) = tried.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0))?;
+            let ended = parallel::map(&starts, parallel::cores(), |start| in_short(&some, start));
+            let (_, best) = ended.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0))?;
             trial::respond(measured, &best, None, FURTHER_ON)
         });
         arrived.collect()
