@@ -44,13 +44,18 @@ impl Searcher<'_> {
         if better { trial::judge_response(measured, &start, numbers, again) } else { None }
     }
 
-    /// Where a better model leaves another slow noise of the displacement sensor, everything found so far is fitted and judged with that:
-    /// what the model before lacked had posed as noise. What the stage goes on from, so fitted.
+    /// Where a better model leaves another slow noise of the displacement sensor, or has its jumps elsewhere, everything found so far is
+    /// fitted and judged with that: what the model before lacked had posed as noise, and its contacts began at other instants. What the
+    /// stage goes on from, so fitted.
     pub(super) fn heard_anew(&self, search: &mut Search, stage: &mut Stage, from: &Trial) -> Option<Trial> {
         let (measured, best) = (self.measured.as_ref()?, stage.finalists.first()?);
         let response = best.response.as_ref().filter(|_| verdict::apart(best, from) > 0.0)?;
         let laid = [(Part::Training, &response.training), (Part::HeldOut, &response.held_out)];
-        if !measured.learn_slow_noise(&best.refit.spec, &best.refit.numbers, laid) {
+        let told = [
+            measured.learn_slow_noise(&best.refit.spec, &best.refit.numbers, laid),
+            measured.learn_jumps(&best.refit.spec, laid),
+        ];
+        if !told.contains(&true) {
             return None;
         }
         let best = best.clone();

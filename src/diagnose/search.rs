@@ -410,7 +410,7 @@ impl<'a> Searcher<'a> {
             }
             parts::done("base model again");
             from = self.heard_anew(&mut search, &mut stage, &from).unwrap_or(from);
-            parts::done("all again with other slow noise");
+            parts::done("all again with what was told anew");
             let brings =
                 |stage: &Stage| stage.finalists.iter().any(|trial| verdict::brings(trial, &from, thresholds));
             // Where the best leaves much, or nothing brings anything.

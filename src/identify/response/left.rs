@@ -29,6 +29,7 @@ impl Measured<'_> {
     pub fn errors(&self, spec: &ModelSpec, part: Part, laid: &Laid) -> Option<Vec<(usize, OutputError)>> {
         let motion = self.motion;
         let (_, steps) = self.lay(spec, part, &laid.values, &laid.nuisances)?;
+        let counted = self.counts();
         let of = |((step, own), k): ((&Step<'_>, &Nuisances), &usize)| {
             let common = self.common(&laid.values, step.window);
             let mut misfit = self.misfit(step.window, &step.simulated, common, own);
@@ -37,7 +38,7 @@ impl Measured<'_> {
             let laser = motion.laser_m.get(step.window.range.clone()).unwrap_or(&[]);
             let mean = laser.iter().sum::<f64>() / laser.len().max(1) as f64;
             let mut error = OutputError::default();
-            let counts = |n: &usize| self.counts()[*n] || !motion.sees_acceleration;
+            let counts = |n: &usize| counted[*n] || !motion.sees_acceleration;
             for (i, n) in step.window.range.clone().enumerate().filter(|(_, n)| counts(n)) {
                 if motion.sees_acceleration {
                     error.sum_a += (motion.restoring_noise_m_s2 * of_a[i]).powi(2);

@@ -97,9 +97,9 @@ pub struct Measured<'a> {
     /// Jumps of the acceleration are left as they are.
     coarse: bool,
     /// Whether each sample of the acceleration counts, by the record alone.
-    counts: Vec<bool>,
+    counts: Arc<Vec<bool>>,
     /// The same when a fitted model has said where jumps are.
-    told: Arc<OnceLock<Vec<bool>>>,
+    told: Arc<RwLock<Option<Arc<Vec<bool>>>>>,
     /// Slow noise of each record's displacement sensor, when a fitted model has told it.
     slow: Arc<RwLock<Arc<Vec<Slow>>>>,
     /// What noise in what drives each window does, when a fitted model has told it.
@@ -198,14 +198,14 @@ impl<'a> Measured<'a> {
             table_noise_m_s2: motion.drive_noise_m_s2,
             table_zero_m_s2: zero_of_table_m_s2(motion),
             coarse,
-            counts: match motion.kind {
+            counts: Arc::new(match motion.kind {
                 _ if coarse => vec![true; motion.restoring_m_s2.len()],
                 _ if !motion.sees_acceleration => vec![false; motion.restoring_m_s2.len()],
                 Kind::Force => {
                     beside_jumps_of_few_samples(&motion.restoring_m_s2, motion.restoring_noise_m_s2)
                 }
                 _ => beside_jumps(&motion.restoring_m_s2, motion.restoring_noise_m_s2),
-            },
+            }),
             told: Arc::default(),
             slow: Arc::default(),
             driven: Arc::default(),

@@ -263,6 +263,34 @@ fn tips_that_creep_back_have_come_to_where_they_are_before_a_step() {
 }
 
 #[test]
+fn jumps_that_a_wrong_model_told_are_told_anew_by_a_better_one() {
+    let mut truth = b1_g2();
+    truth.effects.push(effect("hertz-contact", &[("kh", 1.2e5), ("n", 1.3)]));
+    let motion = Motion::of(&seen(&truth, 25), 500.0, Tolerances::default()).expect("a motion");
+    let told = |models: &[&ModelSpec]| {
+        let measured = Measured::new(&motion).expect("a base record");
+        let others = models.iter().map(|spec| {
+            let of = |part: Part| {
+                let laid = measured.fit(spec, &Numbers::default(), 0.0, None, Settings::default());
+                let laid = laid.expect("laid");
+                if part == Part::HeldOut {
+                    measured.judge(spec, &Numbers::default(), &laid)
+                } else {
+                    Some(laid)
+                }
+            };
+            let [training, held_out] = [Part::Training, Part::HeldOut].map(|part| of(part).expect("laid"));
+            measured.learn_jumps(spec, [(Part::Training, &training), (Part::HeldOut, &held_out)])
+        });
+        (others.collect::<Vec<bool>>(), measured.counts())
+    };
+    let (others, anew) = told(&[&b1_g2(), &truth, &truth]);
+    assert_eq!(others, [true, true, false], "told once more where they are elsewhere alone");
+    assert_eq!(anew, told(&[&truth]).1);
+    assert_ne!(anew, told(&[&b1_g2()]).1);
+}
+
+#[test]
 fn what_noise_leaves_of_structure_is_what_chance_gives_it() {
     let of = |seed: u64| {
         let motion = Motion::of(&seen(&b1_g2(), seed), 500.0, Tolerances::default()).expect("a motion");
