@@ -3,6 +3,7 @@
 use hil_tests::hidden::{self, Recipe, Sensors, Shaking};
 use shaketable::compare::compare;
 use shaketable::diagnose::live::evidence;
+use shaketable::diagnose::report::StepErrors;
 use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose, diagnose_together};
 use shaketable::model::{EffectSpec, ModelSpec};
 use shaketable::record::Record;
@@ -36,6 +37,15 @@ fn a_missing_effect_is_named_and_the_held_out_error_falls() {
         assert!(above(found.error_after) < 0.5 * above(found.error_reidentified), "{name}");
         assert!(found.error_after < 1.25 * found.noise_floor, "{name}");
         assert!(!found.effects[0].parameters.is_empty() && !found.refused.is_empty());
+        // So it is in every step, whatever the noise is over its motion there.
+        let floors = found.steps.iter().map(|step| step.noise_floor);
+        assert!(floors.clone().fold(0.0, f64::max) > 5.0 * floors.fold(f64::INFINITY, f64::min), "{name}");
+        let over = |step: &StepErrors| step.after / step.noise_floor;
+        assert!(
+            found.steps.iter().all(|step| (0.9..1.25).contains(&over(step))),
+            "{name}: {:?}",
+            found.steps
+        );
     }
 }
 

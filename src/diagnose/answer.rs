@@ -235,6 +235,7 @@ impl Composer<'_> {
                 held_out: window.held_out,
                 reidentified: without.nrmse(),
                 after: with.nrmse(),
+                noise_floor: with.noise_floor(self.motion),
             }
         };
         without.iter().zip(with).map(step).collect()

@@ -71,6 +71,8 @@ pub struct StepErrors {
     pub reidentified: f64,
     /// With it.
     pub after: f64,
+    /// What the noise of the instruments makes of it.
+    pub noise_floor: f64,
 }
 
 /// The whole answer. Errors are NRMSE of the held-out steps: RMS of the error over RMS of the

@@ -95,9 +95,13 @@ fn steps(page: &mut Page, steps: &[StepErrors], bumpers: bool) -> Result<(), Rep
             kept,
         );
     }
+    let mut floor: Vec<(f64, f64)> = steps.iter().map(|s| (place(s), 100.0 * s.noise_floor)).collect();
+    floor.sort_by(|a, b| a.0.total_cmp(&b.0));
+    chart = chart.line(Some("noise floor"), Stroke::dashed(Ink::Limit), floor);
+    let small = " Where the mass moves little, noise alone is a large part of it: the dashed line.";
     let jumps = " With stiff bumpers the response is bistable in parts of a sweep: a simulation may leave on the other branch \
                  for reasons of noise alone.";
-    page.figure(&chart, &format!("Error step by step.{}", if bumpers { jumps } else { "" }))
+    page.figure(&chart, &format!("Error step by step.{small}{}", if bumpers { jumps } else { "" }))
 }
 
 fn tables(page: &mut Page, found: &Diagnosis) {
