@@ -16,8 +16,8 @@ const MOST: f64 = 0.2;
 /// A simulated acceleration that spreading changes by more than this, in units of the noise, has a jump beside it.
 const SPREAD: f64 = 0.2;
 
-/// Share of the samples beside jumps that is beside others when a model has them elsewhere: 6 % had numbers of a Hertz contact 2.3
-/// deviations off in the mean, in place of 0.9.
+/// Share of the samples beside jumps that is beside others when a model has them elsewhere: 6 % had the numbers of a Hertz contact 2.3
+/// of their deviations off (rms), in place of 0.9.
 const ELSEWHERE: f64 = 0.01;
 
 /// A simulated step with what spreading its jumps takes: relative velocity and table acceleration at each sample.

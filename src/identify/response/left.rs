@@ -72,7 +72,7 @@ impl Measured<'_> {
         for step in &steps {
             let chi2 = dot(&step.residuals, &step.residuals);
             let counted = self.count(step.window);
-            variance += 1.0 / counted as f64;
+            variance += 1.0 / counted.max(1) as f64;
             let weight = robust(chi2, counted).1;
             means.push(chi2 / counted as f64);
             let pairs =
