@@ -113,7 +113,7 @@ pub fn add(
     let base = searcher.base(nominal).ok_or(AddError::NoResponse { with: "as it is" })?;
     let lost = AddError::NoResponse { with: "with the effect" };
     let trial = fitted(&searcher, &motion, nominal, &base, given, fixed_start).ok_or(lost)?;
-    let trial = out_there(record, nominal, searcher.bounded(trial));
+    let trial = out_there(record, nominal, searcher.bounded(searcher.heard_by_itself(trial)));
     let (refit, after) = (&trial.refit, searcher.held_out_error(&trial));
     Ok(Added {
         parameters: parameters(refit, nominal, given, &candidates::scales(nominal, &motion)),

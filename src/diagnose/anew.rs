@@ -49,13 +49,7 @@ impl Searcher<'_> {
     /// stage goes on from, so fitted.
     pub(super) fn heard_anew(&self, search: &mut Search, stage: &mut Stage, from: &Trial) -> Option<Trial> {
         let (measured, best) = (self.measured.as_ref()?, stage.finalists.first()?);
-        let response = best.response.as_ref().filter(|_| verdict::apart(best, from) > 0.0)?;
-        let laid = [(Part::Training, &response.training), (Part::HeldOut, &response.held_out)];
-        let told = [
-            measured.learn_slow_noise(&best.refit.spec, &best.refit.numbers, laid),
-            measured.learn_jumps(&best.refit.spec, laid),
-        ];
-        if !told.contains(&true) {
+        if verdict::apart(best, from) <= 0.0 || !tells_otherwise(measured, best) {
             return None;
         }
         let best = best.clone();
@@ -73,6 +67,17 @@ impl Searcher<'_> {
         let from = search.best().clone();
         best_first(&mut stage.finalists, &from);
         Some(from)
+    }
+
+    /// A fitted model, fitted again where it tells slow noise or jumps otherwise than the one before.
+    pub(super) fn heard_by_itself(&self, trial: Trial) -> Trial {
+        let Some(measured) = self.measured.as_ref().filter(|measured| tells_otherwise(measured, &trial))
+        else {
+            return trial;
+        };
+        let settings = Settings { iterations: HEARD_ANEW, ..Settings::default() };
+        let laid = trial.response.as_ref().map(|response| &response.training);
+        trial::respond(measured, &trial, laid, settings).unwrap_or(trial)
     }
 
     /// A fitted model in which numbers of its own went far from what they were given to make up for what is missing, fitted again with
@@ -168,6 +173,15 @@ impl Searcher<'_> {
     }
 }
 
+/// Has a fitted model tell slow noise of the displacement sensor and jumps; whether either is another than before.
+fn tells_otherwise(measured: &Measured<'_>, trial: &Trial) -> bool {
+    let Some(response) = &trial.response else { return false };
+    let (Refit { spec, numbers, .. }, Response { training, held_out, .. }) = (&trial.refit, response);
+    let laid = [(Part::Training, training), (Part::HeldOut, held_out)];
+    let told = [measured.learn_slow_noise(spec, numbers, laid), measured.learn_jumps(spec, laid)];
+    told.contains(&true)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -194,5 +208,19 @@ mod tests {
         let told = bounded.refit.spec.effects[0].parameters["tau_s"];
         assert!((told / 0.08 - 1.0).abs() < 0.05, "{told}");
         assert_eq!(bounded.refit.limits.len(), bounded.refit.numbers.numbers.len());
+    }
+
+    #[test]
+    fn a_model_that_tells_jumps_otherwise_is_fitted_again_with_those() {
+        let mut truth = b1_g2();
+        truth.effects.push(effect("hertz-contact", &[("kh", 1.2e5), ("n", 1.3)]));
+        let motion = Motion::of(&seen(&truth, 25), 500.0, Tolerances::default()).expect("a motion");
+        let searcher = Searcher::new(&motion, &b1_g2(), Effort::default());
+        let base = searcher.base(&b1_g2()).expect("fits");
+        let trial = with(&searcher, &base, &truth.effects, Settings::default());
+        let (before, again) = (trial.refit.fit.values.clone(), searcher.heard_by_itself(trial));
+        assert_ne!(before, again.refit.fit.values, "other samples count");
+        let told = again.refit.spec.effects[0].parameters["n"];
+        assert!((told / 1.3 - 1.0).abs() < 0.01, "{told}");
     }
 }
