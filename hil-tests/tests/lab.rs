@@ -110,7 +110,9 @@ fn assert_same_peaks(low_hz: f64, high_hz: f64) {
         println!("{preflight}{line:?}\n{bus:?}\nslips of {slips:?} periods");
         assert_eq!((line.lost, line.bad_frames, line.ring_overflow), (0, 0, 0));
         assert_eq!(finished.manifest.lost.samples, 0);
-        let held_up = bus.worst_late_ns > 5_000_000 || slips.iter().any(|periods| *periods >= STOOD_STILL);
+        let held_up = bus.worst_late_ns > 5_000_000
+            || line.worst_late_us > 5_000
+            || slips.iter().any(|periods| *periods >= STOOD_STILL);
         match compare(&finished, &preflight, &monitor, &simulated) {
             Ok(()) => return,
             Err(why) if held_up => println!("not judged, the machine stood still: {why}"),
