@@ -53,13 +53,9 @@ impl Searcher<'_> {
             return None;
         }
         let best = best.clone();
-        let again = |trial: &Trial| {
-            // What is hopelessly behind is laid anew as it is.
-            let iterations = if verdict::apart(&best, trial) > HOPELESS { 0 } else { HEARD_ANEW };
-            let settings = Settings { iterations, ..Settings::default() };
-            let laid = trial.response.as_ref().map(|response| &response.training);
-            trial::respond(measured, trial, laid, settings).unwrap_or_else(|| trial.clone())
-        };
+        // What is hopelessly behind is laid anew as it is.
+        let rounds = |trial: &Trial| if verdict::apart(&best, trial) > HOPELESS { 0 } else { HEARD_ANEW };
+        let again = |trial: &Trial| from_where_it_stands(measured, trial, rounds(trial));
         let all = |trials: &mut Vec<Trial>| *trials = parallel::map(trials, parallel::cores(), again);
         all(&mut stage.finalists);
         search.stages.iter_mut().for_each(|stage| all(&mut stage.finalists));
@@ -71,13 +67,10 @@ impl Searcher<'_> {
 
     /// A fitted model, fitted again where it tells slow noise or jumps otherwise than the one before.
     pub(super) fn heard_by_itself(&self, trial: Trial) -> Trial {
-        let Some(measured) = self.measured.as_ref().filter(|measured| tells_otherwise(measured, &trial))
-        else {
-            return trial;
-        };
-        let settings = Settings { iterations: HEARD_ANEW, ..Settings::default() };
-        let laid = trial.response.as_ref().map(|response| &response.training);
-        trial::respond(measured, &trial, laid, settings).unwrap_or(trial)
+        match self.measured.as_ref().filter(|measured| tells_otherwise(measured, &trial)) {
+            Some(measured) => from_where_it_stands(measured, &trial, HEARD_ANEW),
+            None => trial,
+        }
     }
 
     /// A fitted model in which numbers of its own went far from what they were given to make up for what is missing, fitted again with
@@ -173,8 +166,15 @@ impl Searcher<'_> {
     }
 }
 
+/// A fitted model fitted on for so many rounds with what has been told since.
+fn from_where_it_stands(measured: &Measured<'_>, trial: &Trial, iterations: usize) -> Trial {
+    let settings = Settings { iterations, ..Settings::default() };
+    let laid = trial.response.as_ref().map(|response| &response.training);
+    trial::respond(measured, trial, laid, settings).unwrap_or_else(|| trial.clone())
+}
+
 /// Has a fitted model tell slow noise of the displacement sensor and jumps; whether either is another than before.
-fn tells_otherwise(measured: &Measured<'_>, trial: &Trial) -> bool {
+pub(super) fn tells_otherwise(measured: &Measured<'_>, trial: &Trial) -> bool {
     let Some(response) = &trial.response else { return false };
     let (Refit { spec, numbers, .. }, Response { training, held_out, .. }) = (&trial.refit, response);
     let laid = [(Part::Training, training), (Part::HeldOut, held_out)];

@@ -92,14 +92,15 @@ impl Searcher<'_> {
         without
     }
 
-    /// What does much the same as an effect of the best pair and was not fitted beside the other one, from where the pair has the model's
-    /// own numbers: with those off, the two look alike, or the one does that bends more.
+    /// What does much the same as an effect of the best explanation and was not fitted in its place, from where that has the model's own
+    /// numbers: with those off, the two look alike, or the one does that bends more. One effect that leaves noise alone stands.
     pub(super) fn twins(&self, measured: &Measured<'_>, finalists: &[Trial], base: &Trial) -> Vec<Trial> {
-        let Some(pair) = finalists.first().filter(|best| best.names.len() > 1) else { return Vec::new() };
+        let may_be_another = |best: &&Trial| best.names.len() > 1 || best.excess() > best.chance();
+        let Some(best) = finalists.first().filter(may_be_another) else { return Vec::new() };
         let some = measured.every(HALF);
-        let arrived = (0..pair.names.len()).filter_map(|which| {
-            let twin = candidates::twin(&pair.names[which])?;
-            let without = self.without_one(pair, which, base);
+        let arrived = (0..best.names.len()).filter_map(|which| {
+            let twin = candidates::twin(&best.names[which])?;
+            let without = self.without_one(best, which, base);
             let tried = |trial: &Trial| {
                 trial.names.iter().any(|name| name == twin)
                     && without.names.iter().all(|name| trial.names.contains(name))
@@ -109,8 +110,8 @@ impl Searcher<'_> {
             }
             let starts = self.starts_beside(&without, twin, base);
             let ended = parallel::map(&starts, parallel::cores(), |start| in_short(&some, start));
-            let (_, best) = ended.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0))?;
-            trial::respond(measured, &best, None, FURTHER_ON)
+            let (_, nearest) = ended.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0))?;
+            trial::respond(measured, &nearest, None, FURTHER_ON)
         });
         arrived.collect()
     }
@@ -134,7 +135,7 @@ impl Searcher<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnose::contest::{HOPELESS, SORTED_OUT};
+    use crate::diagnose::contest::HOPELESS;
     use crate::diagnose::search::Effort;
     use crate::diagnose::testing::{seen, with};
     use crate::identify::kinematics::Tolerances;
@@ -159,9 +160,27 @@ mod tests {
         assert!(verdict::apart(twin, &pair) > HOPELESS, "{}", verdict::apart(twin, &pair));
         let told = twin.refit.spec.effects[1].parameters["tau_s"];
         assert!((told / 0.08 - 1.0).abs() < 0.1, "{told}");
-        // What was laid beside it, or is no pair, is not again.
+        // What was laid beside it is not again.
         assert!(searcher.twins(measured, &[pair.clone(), twin.clone()], &base).is_empty());
-        let alone = with(&searcher, &base, &[branch], SORTED_OUT);
-        assert!(searcher.twins(measured, &[alone], &base).is_empty());
+    }
+
+    #[test]
+    fn one_effect_is_laid_against_what_does_much_the_same_unless_it_leaves_noise_alone() {
+        let mut truth = b1_g2();
+        truth.effects.push(effect("bumper-stiffening", &[("kb3_n_m3", 3e7)]));
+        let motion = Motion::of(&seen(&truth, 40), 500.0, Tolerances::default()).expect("a motion");
+        let searcher = Searcher::new(&motion, &b1_g2(), Effort::default());
+        let (base, measured) =
+            (searcher.base(&b1_g2()).expect("fits"), searcher.measured.as_ref().expect("seen"));
+        let hertz = effect("hertz-contact", &[("kh", 4e4), ("n", 1.05)]);
+        let hertz = with(&searcher, &base, &[hertz], FURTHER_ON);
+        let laid = searcher.twins(measured, std::slice::from_ref(&hertz), &base);
+        let [twin] = laid.as_slice() else { panic!("{} for one contact", laid.len()) };
+        assert_eq!(twin.names, ["bumper-stiffening"]);
+        assert!(verdict::apart(twin, &hertz) > HOPELESS, "{}", verdict::apart(twin, &hertz));
+        let right = with(&searcher, &base, &truth.effects, FURTHER_ON);
+        let right = searcher.heard_by_itself(right);
+        assert!(right.excess() < right.chance(), "{} {}", right.excess(), right.chance());
+        assert!(searcher.twins(measured, &[right], &base).is_empty());
     }
 }

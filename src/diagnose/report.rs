@@ -3,6 +3,7 @@
 use super::missing_force::MissingForce;
 use super::next_test::NextTest;
 use super::verdict::{Refused, Verdict};
+use crate::model::effects::unit_behind;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -154,11 +155,10 @@ impl Diagnosis {
         for effect in &self.effects {
             line(format!("  {} (probability {:.2})", effect.name, effect.probability));
             for (name, p) in &effect.parameters {
-                // A number without a unit has none behind it.
-                let unit = if p.unit == "1" { String::new() } else { format!(" {}", p.unit) };
                 line(format!(
-                    "    {name} = {}{unit} (95 %: {} to {})",
+                    "    {name} = {}{} (95 %: {} to {})",
                     Short(p.value),
+                    unit_behind(&p.unit),
                     Short(p.low95),
                     Short(p.high95)
                 ));

@@ -1,5 +1,6 @@
 //! The search for what is missing: base re-fitted, candidates one by one, then in combination.
 
+use super::anew::tells_otherwise;
 use super::by_response::first_of_each;
 use super::candidates;
 use super::contest::{HOPELESS, best_first};
@@ -152,14 +153,9 @@ impl<'a> Searcher<'a> {
         let refit = trial::base_by_force(&self.fitting, nominal, self.fitted.as_ref())?;
         let base = self.finish(&trial::judge_by_force(&self.fitting, &[], refit)?)?;
         // With its jumps and the slow noise known, once more.
-        let again = self.measured.as_ref().zip(base.response.as_ref()).and_then(|(measured, response)| {
-            let laid = [(Part::Training, &response.training), (Part::HeldOut, &response.held_out)];
+        let again = self.measured.as_ref().filter(|_| base.response.is_some()).and_then(|measured| {
             let settings = Settings { iterations: 6, ..Settings::default() };
-            let told = [
-                measured.learn_slow_noise(&base.refit.spec, &base.refit.numbers, laid),
-                measured.learn_jumps(&base.refit.spec, laid),
-                measured.learn_noise_of_drive(&base.refit.spec),
-            ];
+            let told = [tells_otherwise(measured, &base), measured.learn_noise_of_drive(&base.refit.spec)];
             if told.contains(&true) { trial::respond(measured, &base, None, settings) } else { None }
         });
         Some(again.unwrap_or(base))

@@ -18,7 +18,7 @@ const SPREAD: f64 = 0.2;
 
 /// Share of the samples beside jumps that is beside others when a model has them elsewhere: 6 % had the numbers of a Hertz contact 2.3
 /// of their deviations off (rms), in place of 0.9.
-const ELSEWHERE: f64 = 0.01;
+const OTHERS: f64 = 0.01;
 
 /// A simulated step with what spreading its jumps takes: relative velocity and table acceleration at each sample.
 pub(super) struct Sampled {
@@ -134,7 +134,7 @@ fn are_others(before: &[bool], now: &[bool]) -> bool {
         either += usize::from(!before || !now);
         one += usize::from(before != now);
     }
-    one as f64 > ELSEWHERE * either as f64
+    one as f64 > OTHERS * either as f64
 }
 
 fn beside_bends(acceleration: &[f64], noise: f64) -> Vec<bool> {

@@ -34,7 +34,7 @@ mod tests;
 mod yaw_rotation;
 
 pub use expression::Expression;
-pub use parameter::{Parameter, Sign, Values};
+pub use parameter::{Parameter, Sign, Values, unit_behind};
 
 use super::scales::Scales;
 use super::system::System;

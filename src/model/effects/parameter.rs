@@ -120,19 +120,23 @@ impl Parameter {
         if value.is_finite() && low_ok && value <= self.at_most {
             return Ok(());
         }
-        let unit = if self.unit == "1" { "" } else { self.unit };
-        let gap = if unit.is_empty() { "" } else { " " };
+        let unit = unit_behind(self.unit);
         let end = match (self.sign, self.at_most < f64::MAX) {
             (Sign::Either, false) => String::new(),
             (Sign::Either, true) if self.at_least == f64::MIN => {
-                format!(" up to {}{gap}{unit}", self.at_most)
+                format!(" up to {}{unit}", self.at_most)
             }
-            (Sign::Positive, false) => format!("{gap}{unit}"),
-            (Sign::NotNegative, false) => format!("{gap}{unit} or more"),
-            (_, true) => format!(" to {}{gap}{unit}", self.at_most),
+            (Sign::Positive, false) => unit.clone(),
+            (Sign::NotNegative, false) => format!("{unit} or more"),
+            (_, true) => format!(" to {}{unit}", self.at_most),
         };
-        Err(format!("{value}{gap}{unit}; allowed: {low}{end}"))
+        Err(format!("{value}{unit}; allowed: {low}{end}"))
     }
+}
+
+/// What stands behind a number of this unit: a space and the unit, nothing for `1` or none.
+pub fn unit_behind(unit: &str) -> String {
+    if matches!(unit, "" | "1") { String::new() } else { format!(" {unit}") }
 }
 
 /// The values of one effect as its file gives them, defaults filled in.
