@@ -6,7 +6,7 @@ use super::instruments::{Estimate95, Finding};
 use crate::parallel;
 use crate::record::Record;
 use crate::record::mended::may_be_hum;
-use crate::signal::{Spectrum, TAPERED};
+use crate::signal::{EASED, EASED_FOURTH, Spectrum};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use realfft::num_complex::Complex64;
 use std::borrow::Cow;
@@ -35,9 +35,8 @@ const MOST: usize = 20_000;
 /// What a gain and a leak leave, over the noise, from which on a mode is looked for; share of that which it may leave.
 const LEFT: f64 = 1.3;
 const UNEXPLAINED: f64 = 0.3;
-/// Variance of a coefficient told by tapered spectra over that by plain ones: mean fourth power of a Hann window over the square of
-/// its mean square.
-const HANN_SHARED: f64 = 35.0 / 18.0;
+/// Variance of a coefficient told by eased spectra over that by plain ones.
+const SHARED: f64 = EASED_FOURTH / (EASED * EASED);
 /// Half the spacing of the accelerometers that an eccentricity is told for, m.
 const HALF_SPACING_M: f64 = 0.5;
 
@@ -61,8 +60,8 @@ pub(super) fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Finding> {
         return None;
     }
     let (information, _) = spectra.slopes(mode, x);
-    // A bin's noise lies half in its real part; tapering has neighbouring bins share theirs.
-    let noise = 0.5 * HANN_SHARED * left / spectra.bins.len() as f64;
+    // A bin's noise lies half in its real part; easing has neighbouring bins share theirs.
+    let noise = 0.5 * SHARED * left / spectra.bins.len() as f64;
     let covariance = information.try_inverse()?;
     let around = |value: f64, per: f64, i: usize| {
         let half = 1.96 * per * (covariance[(i, i)].max(0.0) * noise).sqrt();
@@ -82,7 +81,7 @@ pub(super) fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Finding> {
     })
 }
 
-/// Half the difference and the mean of both accelerometers and the table's, tapered.
+/// Half the difference and the mean of both accelerometers and the table's, eased at the ends.
 struct Spectra {
     difference: Spectrum,
     mean: Spectrum,
@@ -104,16 +103,16 @@ impl Spectra {
             let pair = record.mass_acceleration_1_m_s2.iter().zip(&record.mass_acceleration_2_m_s2);
             pair.map(|(a, b)| 0.5 * of(*a, *b)).collect()
         };
-        // Tapered: what one noisy sample at an end stands for beyond it would be several times the noise at low frequencies.
+        // Eased at the ends: what one noisy sample there stands for beyond it would be several times the noise at low frequencies. A window
+        // that grows or falls all along has the mode ring down slower or faster by as much.
         let channels = [
             Cow::from(half_of(&|a, b| a - b)),
             Cow::from(half_of(&|a, b| a + b)),
             Cow::from(&record.table_acceleration_m_s2),
         ];
-        let tapered = |channel: &Cow<'_, [f64]>| Spectrum::tapered(channel, rate);
-        let [difference, mean, table] =
-            parallel::map(&channels, parallel::cores(), tapered).try_into().ok()?;
-        let of_difference = 0.25 * (noise[0].powi(2) + noise[1].powi(2)) * TAPERED;
+        let eased = |channel: &Cow<'_, [f64]>| Spectrum::eased(channel, rate);
+        let [difference, mean, table] = parallel::map(&channels, parallel::cores(), eased).try_into().ok()?;
+        let of_difference = 0.25 * (noise[0].powi(2) + noise[1].powi(2)) * EASED;
         let noise_of_a_bin = of_difference * n as f64;
         let bins: Vec<usize> = difference
             .band(0.05, 0.3 * rate)
@@ -258,4 +257,45 @@ impl Spectra {
 /// The denominator of a mode's response.
 fn below((w0, zeta): Mode, w: f64) -> Complex64 {
     Complex64::new(w0 * w0 - w * w, 2.0 * zeta * w0 * w)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::Kind;
+    use rand::{SeedableRng, prelude::Distribution};
+
+    #[test]
+    fn the_damping_of_a_mode_that_a_sweep_passes_early_is_told_as_it_is() {
+        let (rate, seconds, w0, zeta, strength) = (2048.0, 60.0, TAU * 23.0, 0.066, 0.4);
+        // Through the mode a quarter of the way.
+        let shaken = |t: f64| (TAU * (18.0 + 10.0 * t / seconds) * t).sin();
+        let slope = |t: f64, [y, v]: [f64; 2]| [v, -strength * shaken(t) - 2.0 * zeta * w0 * v - w0 * w0 * y];
+        let (mut state, dt) = ([0.0; 2], 1.0 / rate);
+        let mut random = rand_pcg::Pcg64::seed_from_u64(1);
+        let hiss = rand_distr::Normal::new(0.0, 0.003).expect("valid");
+        let mut record = Record::empty("sweep", Kind::Base, rate);
+        for i in 0..(seconds * rate) as usize {
+            let t = i as f64 * dt;
+            let (a, turned) = (shaken(t), slope(t, state)[1]);
+            record.mass_acceleration_1_m_s2.push(a + turned + hiss.sample(&mut random));
+            record.mass_acceleration_2_m_s2.push(a - turned + hiss.sample(&mut random));
+            record.table_acceleration_m_s2.push(hiss.sample(&mut random));
+            // Runge and Kutta's classical step.
+            let on = |by: f64, k: [f64; 2]| [state[0] + by * k[0], state[1] + by * k[1]];
+            let k1 = slope(t, state);
+            let k2 = slope(t + 0.5 * dt, on(0.5 * dt, k1));
+            let k3 = slope(t + 0.5 * dt, on(0.5 * dt, k2));
+            let k4 = slope(t + dt, on(dt, k3));
+            state = [0, 1].map(|i| state[i] + dt / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]));
+        }
+        let found = yaw(&record, &[0.003; 2]).expect("a mode");
+        let told = |name: &str| {
+            let (_, estimate, _) = found.parameters.iter().find(|(of, ..)| of == name).expect("told");
+            estimate.value
+        };
+        assert!((told("zeta") / zeta - 1.0).abs() < 5e-4, "{}", told("zeta"));
+        assert!((told("f_hz") / 23.0 - 1.0).abs() < 5e-5, "{}", told("f_hz"));
+        assert!((told("e_m") / (strength * HALF_SPACING_M / 3.0) - 1.0).abs() < 5e-4, "{}", told("e_m"));
+    }
 }

@@ -15,7 +15,7 @@ pub use analyzer::{ChannelResult, CyclePlace, HARMONICS, Harmonic, MAX_CYCLES, S
 pub use butterworth::{BandPass, FilterBank};
 pub use low_pass::LowPass;
 pub use offline::{RecordStep, analyse_record, band_pass, fundamental_hz, hann, project};
-pub use spectrum::{Spectrum, TAPERED};
+pub use spectrum::{EASED, EASED_FOURTH, Spectrum, TAPERED};
 pub use table_motion::{TableMotion, TableNoise, table_acceleration, table_noise};
 
 /// Lower corner of the paper's band-pass, Hz (Andreaus and De Angelis 2020).

@@ -6,11 +6,18 @@
 
 use super::hann;
 use realfft::{RealFftPlanner, num_complex::Complex64};
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Mean square of the window of [`Spectrum::tapered`].
 pub const TAPERED: f64 = 1.5;
+
+/// Share of a channel over which [`Spectrum::eased`] lets it rise, and fall.
+const EASING: f64 = 0.05;
+/// Mean square of the window of [`Spectrum::eased`].
+pub const EASED: f64 = 1.0 - 2.0 * EASING * (1.0 - 3.0 / 8.0);
+/// Mean fourth power of that window.
+pub const EASED_FOURTH: f64 = 1.0 - 2.0 * EASING * (1.0 - 35.0 / 128.0);
 
 /// So many lengths keep their plans: a record's channels have few, and the tables of a long one take as much memory as a channel.
 const KEPT: usize = 4;
@@ -90,6 +97,21 @@ impl Spectrum {
         let mut tapered: Vec<f64> = channel.iter().zip(hann(samples)).map(|(x, w)| (x - mean) * w).collect();
         tapered.resize(fast_length(samples), 0.0);
         Self { window: TAPERED, ..Self::of_extended(tapered, samples, 0, sample_rate_hz) }
+    }
+
+    /// The same under a window that is flat but for cosines at its ends (Tukey 1967): where one channel answers to another, it does so
+    /// without what a window that grows or falls adds to its damping. Powers are [`EASED`] times those of the channel.
+    pub fn eased(channel: &[f64], sample_rate_hz: f64) -> Self {
+        let samples = channel.len();
+        let mean = channel.iter().sum::<f64>() / samples.max(1) as f64;
+        let ramp = EASING * samples as f64;
+        let window = |i: usize| {
+            let from_end = i.min(samples - 1 - i) as f64 + 0.5;
+            if from_end < ramp { 0.5 - 0.5 * (PI * from_end / ramp).cos() } else { 1.0 }
+        };
+        let mut eased: Vec<f64> = channel.iter().enumerate().map(|(i, x)| (x - mean) * window(i)).collect();
+        eased.resize(fast_length(samples), 0.0);
+        Self { window: EASED, ..Self::of_extended(eased, samples, 0, sample_rate_hz) }
     }
 
     fn of_extended(mut extended: Vec<f64>, samples: usize, padding: usize, sample_rate_hz: f64) -> Self {
