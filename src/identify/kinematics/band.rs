@@ -1,7 +1,10 @@
 //! The band in which displacement and acceleration are laid side by side, and their noise in it.
 
-use crate::signal::Spectrum;
+use crate::signal::{Spectrum, TAPERED};
 use realfft::num_complex::Complex64;
+
+/// Power of a bin over that of the noise in it above which it is motion: of a hundred thousand bins of noise, one may be above the half of it.
+const ABOVE_NOISE: f64 = 24.0;
 
 /// The band in which the relation is tested, and the samples far enough from the ends.
 pub(super) struct Band {
@@ -21,7 +24,7 @@ impl Band {
     pub(super) fn of(laser: &Spectrum, laser_noise_m: f64, acceleration_noise_m_s2: f64) -> Option<Self> {
         let power: Vec<f64> = laser.bins.iter().map(|z| z.norm_sqr()).collect();
         let first = laser.band(0.0, 1e300).start + 2;
-        let floor = 4.0 * laser.bins.len() as f64 * 2.0 * laser_noise_m * laser_noise_m;
+        let floor = ABOVE_NOISE * laser.samples() as f64 * TAPERED * laser_noise_m * laser_noise_m;
         let total: f64 = power.get(first..)?.iter().filter(|p| **p > floor).sum();
         let mut sum = 0.0;
         let mut low = None;

@@ -349,12 +349,13 @@ fn alike([one, two]: &[Relation; 2]) -> f64 {
     dot(&one.left, &two.left) / (dot(&one.left, &one.left) * dot(&two.left, &two.left)).sqrt().max(1e-300)
 }
 
-/// What makes the errors of alpha and beta of both relations white; nobody knows a gain to better than 1e-5.
+/// What makes the errors of alpha and beta of both relations white; nobody knows a gain to better than 1e-5. What they share goes by the
+/// factors of their covariances, which differ as the gains do: with its mean in their place, errors that are nearly the same had none.
 fn whitening(relations: &[Relation; 2]) -> Option<Matrix4<f64>> {
     let [one, two] = relations.each_ref().map(|relation| relation.gains.1);
-    let both = (one + two) * (0.5 * alike(relations).clamp(0.0, 0.999));
+    let both = one.cholesky()?.l() * two.cholesky()?.l().transpose() * alike(relations).clamp(0.0, 0.999);
     let mut covariance = Matrix4::from_diagonal_element(1e-10);
-    for (row, column, block) in [(0, 0, one), (2, 2, two), (0, 2, both), (2, 0, both)] {
+    for (row, column, block) in [(0, 0, one), (2, 2, two), (0, 2, both), (2, 0, both.transpose())] {
         let mut view = covariance.fixed_view_mut::<2, 2>(row, column);
         view += block;
     }
@@ -416,6 +417,22 @@ mod tests {
         let one = examine(&record(1.0, 0.0, 1.03, 0.0), Tolerances::default()).expect("base record");
         assert!((one.accelerometers[0].gain.value - 1.03).abs() < 3e-3, "{one:?}");
         assert!((one.laser_gain.value - 1.0).abs() < 2e-3, "{one:?}");
+    }
+
+    #[test]
+    fn gains_far_apart_are_told_of_noisy_sensors() {
+        let mut record = record(1.0, 0.0, 0.88, 0.0);
+        let mut random = rand_pcg::Pcg64::seed_from_u64(12);
+        let normal = rand_distr::Normal::new(0.0, 1.0).expect("valid");
+        let mut add = |channel: &mut Vec<f64>, rms: f64| {
+            channel.iter_mut().for_each(|x| *x += rms * normal.sample(&mut random));
+        };
+        // The laser hisses so much that both relations leave nearly the same.
+        add(&mut record.relative_displacement_m, 5e-4);
+        let of = examine(&record, Tolerances::default()).expect("base record");
+        let [one, two] = of.accelerometers.map(|a| a.gain.value);
+        assert!((one / two - 0.88).abs() < 1e-3, "{one} {two}");
+        assert!((two - 1.0).abs() < 0.02, "{two}");
     }
 
     #[test]
