@@ -43,7 +43,7 @@ const HALF_SPACING_M: f64 = 0.5;
 /// Frequency, rad/s, and damping ratio of a mode.
 type Mode = (f64, f64);
 
-/// What is left of the power, with gain, leak and strength of the mode.
+/// What is left of the power, with the numbers of a difference: half of what the gains and the leaks are apart, strength of the mode.
 type Fitted = (f64, [f64; 3]);
 
 /// Finds the mode, if there is one; `noise` of each accelerometer, m/s2 rms.
@@ -67,7 +67,7 @@ pub(super) fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Finding> {
         let half = 1.96 * per * (covariance[(i, i)].max(0.0) * noise).sqrt();
         Estimate95 { value, low95: value - half, high95: value + half }
     };
-    // A1 - A2 = 2 y'', y'' = H(w) (3 e / L) A with L half the spacing.
+    // y'' = H(w) (3 e / L) A with L half the spacing.
     let arm = HALF_SPACING_M / 3.0;
     let f_hz = mode.0 / TAU;
     Some(Finding {
@@ -130,8 +130,9 @@ impl Spectra {
         Some(Self { difference, mean, table, bins, noise_of_a_bin })
     }
 
-    /// Difference = gain of mean + leak of table (real constants) + strength of the mode's share of the mean. The mean is as noisy as
-    /// the difference: a bin weighs as much less as the mode amplifies that (errors in both: Deming 1943).
+    /// With gains 1 +- g, A1 = (1 + g) (A + y'') and A2 = (1 - g) (A - y''): half their difference over their mean is
+    /// (g + s H) / (1 + g s H); what one leaks of the table more than the other comes on top. The mean is as noisy as the difference: a bin
+    /// weighs as much less as the mode amplifies that (errors in both: Deming 1943).
     fn fit(&self, mode: Option<Mode>) -> Fitted {
         let mut x = [0.0; 3];
         for _ in 0..REWEIGHED {
@@ -139,13 +140,17 @@ impl Spectra {
             let mut right = Vector3::<f64>::zeros();
             for &b in &self.bins {
                 let h = self.mode(mode, b);
-                let weight = 1.0 / (1.0 + (h * x[2] + x[0]).norm_sqr());
-                let columns = [self.mean.bins[b], self.table.bins[b], h * self.mean.bins[b]];
+                let of_mean = share(h, x);
+                let weight = 1.0 / (1.0 + of_mean.norm_sqr());
+                let (mean, table) = (self.mean.bins[b], self.table.bins[b]);
+                let columns = [mean, table, h * mean];
+                // What the difference has of the mean's share of the mode.
+                let target = self.difference.bins[b] * (Complex64::ONE + h * (x[0] * x[2]));
                 for i in 0..3 {
                     for j in 0..3 {
                         normal[(i, j)] += weight * (columns[i].conj() * columns[j]).re;
                     }
-                    right[i] += weight * (columns[i].conj() * self.difference.bins[b]).re;
+                    right[i] += weight * (columns[i].conj() * target).re;
                 }
             }
             for i in 0..3 {
@@ -162,10 +167,10 @@ impl Spectra {
         mode.map_or(Complex64::ZERO, |mode| Complex64::from(w * w) / below(mode, w))
     }
 
-    /// Power that gain, leak and strength leave, each bin by its weight.
+    /// Power that those numbers leave, each bin by its weight.
     fn left(&self, mode: Option<Mode>, x: [f64; 3]) -> f64 {
         let of = |&b: &usize| {
-            let of_mean = self.mode(mode, b) * x[2] + x[0];
+            let of_mean = share(self.mode(mode, b), x);
             let left = self.difference.bins[b] - of_mean * self.mean.bins[b] - self.table.bins[b] * x[1];
             left.norm_sqr() / (1.0 + of_mean.norm_sqr())
         };
@@ -224,26 +229,35 @@ impl Spectra {
         best
     }
 
-    /// Information along gain, leak, strength and the logarithms of the mode's frequency and damping, and what pulls along them.
-    /// Below a resonance the last three go together.
+    /// Information along those numbers and the logarithms of the mode's frequency and damping, and what pulls along them. Below a resonance
+    /// these go with its strength.
     fn slopes(&self, (w0, zeta): Mode, x: [f64; 3]) -> (SMatrix<f64, 5, 5>, SVector<f64, 5>) {
         let mut information = SMatrix::<f64, 5, 5>::zeros();
         let mut pull = SVector::<f64, 5>::zeros();
+        let [gain, leak, strength] = x;
         for &b in &self.bins {
             let w = self.difference.omega_rad_s(b);
             let below = below((w0, zeta), w);
             let h = Complex64::from(w * w) / below;
             let along_w0 = -h * Complex64::new(2.0 * w0 * w0, 2.0 * zeta * w0 * w) / below;
             let along_zeta = -h * Complex64::new(0.0, 2.0 * zeta * w0 * w) / below;
-            let of_mean = [Complex64::ONE, Complex64::ZERO, h, x[2] * along_w0, x[2] * along_zeta];
-            let mut slopes = of_mean.map(|of| of * self.mean.bins[b]);
+            let of_mean = share(h, x);
+            let square = (Complex64::ONE + h * (gain * strength)).powi(2);
+            let by_mode = Complex64::from(1.0 - gain * gain) / square;
+            let along_mean = [
+                (Complex64::ONE - (h * strength).powi(2)) / square,
+                Complex64::ZERO,
+                by_mode * h,
+                by_mode * along_w0 * strength,
+                by_mode * along_zeta * strength,
+            ];
+            let mut slopes = along_mean.map(|along| along * self.mean.bins[b]);
             slopes[1] = self.table.bins[b];
-            let left = self.difference.bins[b] - slopes[0] * x[0] - slopes[1] * x[1] - slopes[2] * x[2];
+            let left = self.difference.bins[b] - of_mean * self.mean.bins[b] - self.table.bins[b] * leak;
             // The weight follows, too.
-            let all = h * x[2] + x[0];
-            let weight = 1.0 / (1.0 + all.norm_sqr());
+            let weight = 1.0 / (1.0 + of_mean.norm_sqr());
             for i in 0..5 {
-                let of_weight = if i == 1 { 0.0 } else { (all.conj() * of_mean[i]).re };
+                let of_weight = (of_mean.conj() * along_mean[i]).re;
                 pull[i] += weight * ((slopes[i].conj() * left).re + of_weight * weight * left.norm_sqr());
                 for j in 0..5 {
                     information[(i, j)] += weight * (slopes[i].conj() * slopes[j]).re;
@@ -252,6 +266,11 @@ impl Spectra {
         }
         (information, pull)
     }
+}
+
+/// Share of the mean in half the difference, a mode's response and the numbers of a fit given.
+fn share(h: Complex64, [gain, _, strength]: [f64; 3]) -> Complex64 {
+    (h * strength + gain) / (Complex64::ONE + h * (gain * strength))
 }
 
 /// The denominator of a mode's response.
@@ -266,10 +285,11 @@ mod tests {
     use rand::{SeedableRng, prelude::Distribution};
 
     #[test]
-    fn the_damping_of_a_mode_that_a_sweep_passes_early_is_told_as_it_is() {
+    fn a_mode_that_a_sweep_passes_early_is_told_as_it_is_by_sensors_whose_gains_differ() {
         let (rate, seconds, w0, zeta, strength) = (2048.0, 60.0, TAU * 23.0, 0.066, 0.4);
-        // Through the mode a quarter of the way.
-        let shaken = |t: f64| (TAU * (18.0 + 10.0 * t / seconds) * t).sin();
+        // Through the mode a quarter of the way; as sweeps do, it swells and ebbs.
+        let swells = |t: f64| (0.3 * t.min(seconds - t)).clamp(0.0, 1.0).powi(2);
+        let shaken = |t: f64| swells(t) * (TAU * (18.0 + 10.0 * t / seconds) * t).sin();
         let slope = |t: f64, [y, v]: [f64; 2]| [v, -strength * shaken(t) - 2.0 * zeta * w0 * v - w0 * w0 * y];
         let (mut state, dt) = ([0.0; 2], 1.0 / rate);
         let mut random = rand_pcg::Pcg64::seed_from_u64(1);
@@ -278,8 +298,8 @@ mod tests {
         for i in 0..(seconds * rate) as usize {
             let t = i as f64 * dt;
             let (a, turned) = (shaken(t), slope(t, state)[1]);
-            record.mass_acceleration_1_m_s2.push(a + turned + hiss.sample(&mut random));
-            record.mass_acceleration_2_m_s2.push(a - turned + hiss.sample(&mut random));
+            record.mass_acceleration_1_m_s2.push(1.005 * (a + turned) + hiss.sample(&mut random));
+            record.mass_acceleration_2_m_s2.push(0.995 * (a - turned) + hiss.sample(&mut random));
             record.table_acceleration_m_s2.push(hiss.sample(&mut random));
             // Runge and Kutta's classical step.
             let on = |by: f64, k: [f64; 2]| [state[0] + by * k[0], state[1] + by * k[1]];
