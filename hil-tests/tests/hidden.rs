@@ -120,6 +120,22 @@ fn a_late_laser_is_an_instrument_and_no_physics() {
 }
 
 #[test]
+fn a_yaw_leaves_nothing_in_the_mean_and_hides_no_gain() {
+    // Divided by gains that the mode had posed as, the accelerometers had kept some of it in their mean: a stand that is not there.
+    let case = hidden::make(&Recipe::of(10_108_401, &["yaw-rotation"], 0.12)).expect("a record");
+    let names = |record: &Record| {
+        let found = diagnose(record, &case.nominal, &Options::default()).expect("a sound record");
+        (found.verdict, found.effects.into_iter().map(|effect| effect.name).collect::<Vec<_>>())
+    };
+    assert_eq!(names(&case.record), (Verdict::Missing, vec!["yaw-rotation".to_owned()]));
+    let mut off = case.record.clone();
+    off.mass_acceleration_1_m_s2.iter_mut().for_each(|a| *a *= 1.02);
+    let (verdict, mut both) = names(&off);
+    both.sort();
+    assert_eq!((verdict, both), (Verdict::Missing, vec!["accelerometer-gain".into(), "yaw-rotation".into()]));
+}
+
+#[test]
 fn records_of_two_gaps_are_diagnosed_together() {
     let first = hidden::make(&Recipe::of(5_000_302, &["hunt-crossley-damping"], 0.08))
         .expect("the effect reaches its size");

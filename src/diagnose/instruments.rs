@@ -1,7 +1,6 @@
 //! Instruments before physics: which instrument effects a record shows beyond their tolerance.
 
-use super::yaw::yaw;
-use crate::identify::kinematics::{Estimate, Instruments, Tolerances};
+use crate::identify::kinematics::{Estimate, Instruments, Tolerances, Yaw};
 use crate::record::{Kind, Record};
 use serde::Serialize;
 
@@ -88,12 +87,20 @@ pub fn judge(found: &Instruments, record: &Record, tolerances: Tolerances) -> Ve
             &format!("D'' is out of proportion to {mass}"),
         ));
     }
-    let yaw = yaw(record, &found.accelerometers.map(|a| a.noise_m_s2));
+    if let Some(Yaw { eccentricity_m, frequency_hz, damping_ratio, .. }) = found.yaw {
+        let parameters =
+            [("e_m", eccentricity_m, "m"), ("f_hz", frequency_hz, "Hz"), ("zeta", damping_ratio, "1")];
+        out.push(Finding {
+            name: "yaw-rotation".to_owned(),
+            parameters: parameters
+                .map(|(name, of, unit)| (name.to_owned(), of.into(), unit.to_owned()))
+                .into(),
+            text: "the accelerometers on the mass differ as a rotational mode does".to_owned(),
+        });
+    }
     let apart = (one.gain.value - two.gain.value).abs();
     let apart_sigma = one.gain.sigma.hypot(two.gain.sigma);
-    if let Some(yaw) = yaw {
-        out.push(yaw);
-    } else if apart > 2.0 * tolerances.accelerometer_gain + 3.0 * apart_sigma {
+    if apart > 2.0 * tolerances.accelerometer_gain + 3.0 * apart_sigma {
         let (which, gain) = if (one.gain.value - 1.0).abs() > (two.gain.value - 1.0).abs() {
             (1, one.gain)
         } else {

@@ -27,7 +27,6 @@ mod summits;
 pub(crate) mod testing;
 pub mod trial;
 pub mod verdict;
-mod yaw;
 
 pub use engine::{DiagnoseError, Options, diagnose, diagnose_together};
 pub use report::Diagnosis;

@@ -8,8 +8,10 @@
 
 mod applied;
 mod band;
+mod yaw;
 
 use band::Band;
+pub use yaw::Yaw;
 
 use super::least_squares::{self, Free, Settings, dot};
 use super::spectral::noise_of_whole;
@@ -86,6 +88,8 @@ pub struct Instruments {
     pub table_noise_m_s2: f64,
     /// Misfit of the kinematic relation against its own noise, 1 when sound.
     pub misfit: f64,
+    /// Rotation of the mass that its accelerometers show.
+    pub yaw: Option<Yaw>,
 }
 
 impl Instruments {
@@ -198,7 +202,10 @@ fn on_a_base(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
     }
     let rms = relations.iter().map(Relation::rms).fold(0.0, f64::max);
     found.misfit = rms / band.expected_rms(&laser).max(1e-300);
-    Some(found)
+    Some(match yaw::yaw(record, &mass_noise_m_s2) {
+        Some(yaw) => found.turned(yaw),
+        None => found,
+    })
 }
 
 /// `D = alpha A(t - dtA) + beta a_table(t - dtT)`, integrated twice, for one accelerometer.

@@ -1,8 +1,8 @@
 //! A rotational mode in the difference of the two accelerometers on the mass: its ratio to their mean changes with frequency as
-//! `w^2/(w0^2 - w^2 + 2 i zeta w0 w)` does, while a gain or a leak keeps it (or its share of the table's) constant. The instruments
-//! ask for it.
+//! `w^2/(w0^2 - w^2 + 2 i zeta w0 w)` does, while a gain or a leak keeps it (or its share of the table's) constant. The kinematics
+//! ask for it: where there is one, it passes for a gain of each accelerometer.
 
-use super::instruments::{Estimate95, Finding};
+use super::{Accelerometer, Estimate, Instruments};
 use crate::parallel;
 use crate::record::Record;
 use crate::record::mended::may_be_hum;
@@ -46,8 +46,46 @@ type Mode = (f64, f64);
 /// What is left of the power, with the numbers of a difference: half of what the gains and the leaks are apart, strength of the mode.
 type Fitted = (f64, [f64; 3]);
 
+/// A rotation of the mass about its vertical axis, with half of what the gains and the leaks of its accelerometers are apart beside it.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Yaw {
+    /// Eccentricity of the mass, m, for accelerometers 1 m apart.
+    pub eccentricity_m: Estimate,
+    /// Frequency of the mode, Hz.
+    pub frequency_hz: Estimate,
+    /// Its damping ratio.
+    pub damping_ratio: Estimate,
+    /// Half of what the gains are apart, relative.
+    pub(super) gains_apart: Estimate,
+    /// Half of what the shares of the table's acceleration are apart.
+    pub(super) leaks_apart: Estimate,
+}
+
+impl Instruments {
+    /// Takes up a rotation of the mass. What it adds to one accelerometer and takes from the other had passed for gains and leaks of theirs
+    /// and, divided by those, stayed in their mean.
+    pub(super) fn turned(self, yaw: Yaw) -> Self {
+        let [one, two] = self.accelerometers;
+        let common = |one: Estimate, two: Estimate| Estimate {
+            value: 0.5 * (one.value + two.value),
+            sigma: 0.5 * (one.sigma + two.sigma),
+        };
+        let (gain, leak) = (common(one.gain, two.gain), common(one.leak, two.leak));
+        let apart = |common: Estimate, apart: Estimate, by: f64| Estimate {
+            value: common.value + by * apart.value,
+            sigma: common.sigma.hypot(apart.sigma),
+        };
+        let of = |accelerometer: Accelerometer, sign: f64| Accelerometer {
+            gain: apart(gain, yaw.gains_apart, sign * gain.value),
+            leak: apart(leak, yaw.leaks_apart, sign),
+            ..accelerometer
+        };
+        Self { accelerometers: [of(one, 1.0), of(two, -1.0)], yaw: Some(yaw), ..self }
+    }
+}
+
 /// Finds the mode, if there is one; `noise` of each accelerometer, m/s2 rms.
-pub(super) fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Finding> {
+pub(super) fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Yaw> {
     let spectra = Spectra::of(record, noise)?;
     let (plain, _) = spectra.fit(None);
     let floor = spectra.noise_of_a_bin * spectra.bins.len() as f64;
@@ -63,21 +101,19 @@ pub(super) fn yaw(record: &Record, noise: &[f64; 2]) -> Option<Finding> {
     // A bin's noise lies half in its real part; easing has neighbouring bins share theirs.
     let noise = 0.5 * SHARED * left / spectra.bins.len() as f64;
     let covariance = information.try_inverse()?;
-    let around = |value: f64, per: f64, i: usize| {
-        let half = 1.96 * per * (covariance[(i, i)].max(0.0) * noise).sqrt();
-        Estimate95 { value, low95: value - half, high95: value + half }
+    let told = |value: f64, per: f64, i: usize| Estimate {
+        value,
+        sigma: per * (covariance[(i, i)].max(0.0) * noise).sqrt(),
     };
     // y'' = H(w) (3 e / L) A with L half the spacing.
     let arm = HALF_SPACING_M / 3.0;
-    let f_hz = mode.0 / TAU;
-    Some(Finding {
-        name: "yaw-rotation".to_owned(),
-        parameters: vec![
-            ("e_m".to_owned(), around(x[2] * arm, arm, 2), "m".to_owned()),
-            ("f_hz".to_owned(), around(f_hz, f_hz, 3), "Hz".to_owned()),
-            ("zeta".to_owned(), around(mode.1, mode.1, 4), "1".to_owned()),
-        ],
-        text: "the accelerometers on the mass differ as a rotational mode does".to_owned(),
+    let frequency_hz = mode.0 / TAU;
+    Some(Yaw {
+        eccentricity_m: told(x[2] * arm, arm, 2),
+        frequency_hz: told(frequency_hz, frequency_hz, 3),
+        damping_ratio: told(mode.1, mode.1, 4),
+        gains_apart: told(x[0], 1.0, 0),
+        leaks_apart: told(x[1], 1.0, 1),
     })
 }
 
@@ -310,12 +346,10 @@ mod tests {
             state = [0, 1].map(|i| state[i] + dt / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]));
         }
         let found = yaw(&record, &[0.003; 2]).expect("a mode");
-        let told = |name: &str| {
-            let (_, estimate, _) = found.parameters.iter().find(|(of, ..)| of == name).expect("told");
-            estimate.value
-        };
-        assert!((told("zeta") / zeta - 1.0).abs() < 5e-4, "{}", told("zeta"));
-        assert!((told("f_hz") / 23.0 - 1.0).abs() < 5e-5, "{}", told("f_hz"));
-        assert!((told("e_m") / (strength * HALF_SPACING_M / 3.0) - 1.0).abs() < 5e-4, "{}", told("e_m"));
+        let off = |told: Estimate, truth: f64| (told.value / truth - 1.0).abs();
+        assert!(off(found.damping_ratio, zeta) < 5e-4, "{found:?}");
+        assert!(off(found.frequency_hz, 23.0) < 5e-5, "{found:?}");
+        assert!(off(found.eccentricity_m, strength * HALF_SPACING_M / 3.0) < 5e-4, "{found:?}");
+        assert!(off(found.gains_apart, 0.005) < 0.02, "{found:?}");
     }
 }
