@@ -203,7 +203,7 @@ fn on_a_base(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
     let rms = relations.iter().map(Relation::rms).fold(0.0, f64::max);
     found.misfit = rms / band.expected_rms(&laser).max(1e-300);
     Some(match yaw::yaw(record, &mass_noise_m_s2) {
-        Some(yaw) => found.turned(yaw),
+        Some(yaw) => found.turned(yaw, tolerances),
         None => found,
     })
 }

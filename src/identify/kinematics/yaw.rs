@@ -2,7 +2,7 @@
 //! `w^2/(w0^2 - w^2 + 2 i zeta w0 w)` does, while a gain or a leak keeps it (or its share of the table's) constant. The kinematics
 //! ask for it: where there is one, it passes for a gain of each accelerometer.
 
-use super::{Accelerometer, Estimate, Instruments};
+use super::{Accelerometer, Estimate, Instruments, Tolerances};
 use crate::parallel;
 use crate::record::Record;
 use crate::record::mended::may_be_hum;
@@ -61,10 +61,20 @@ pub struct Yaw {
     pub(super) leaks_apart: Estimate,
 }
 
+impl Yaw {
+    /// Whether gains are told beside it to within their tolerance: far above its resonance, or below, a mode is much like a gain itself.
+    pub fn tells_gains(&self, tolerances: Tolerances) -> bool {
+        self.gains_apart.sigma < tolerances.accelerometer_gain
+    }
+}
+
 impl Instruments {
     /// Takes up a rotation of the mass. What it adds to one accelerometer and takes from the other had passed for gains and leaks of theirs
     /// and, divided by those, stayed in their mean.
-    pub(super) fn turned(self, yaw: Yaw) -> Self {
+    pub(super) fn turned(self, yaw: Yaw, tolerances: Tolerances) -> Self {
+        if !yaw.tells_gains(tolerances) {
+            return Self { yaw: Some(yaw), ..self };
+        }
         let [one, two] = self.accelerometers;
         let common = |one: Estimate, two: Estimate| Estimate {
             value: 0.5 * (one.value + two.value),
@@ -351,5 +361,15 @@ mod tests {
         assert!(off(found.frequency_hz, 23.0) < 5e-5, "{found:?}");
         assert!(off(found.eccentricity_m, strength * HALF_SPACING_M / 3.0) < 5e-4, "{found:?}");
         assert!(off(found.gains_apart, 0.005) < 0.02, "{found:?}");
+        // They are taken up, but for those that it leaves open.
+        let gains = |yaw: Yaw| {
+            let mut sound = Instruments::assumed_sound(&record);
+            sound.accelerometers[0].gain.value = 1.02;
+            sound.turned(yaw, Tolerances::default()).accelerometers.map(|of| of.gain.value)
+        };
+        let [one, two] = gains(found);
+        assert!((one - 1.01 * 1.005).abs() < 1e-4 && (two - 1.01 * 0.995).abs() < 1e-4, "{one} {two}");
+        let open = Estimate { value: 0.5, sigma: 0.3 };
+        assert_eq!(gains(Yaw { gains_apart: open, ..found }), [1.02, 1.0]);
     }
 }
