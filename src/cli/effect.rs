@@ -182,14 +182,16 @@ fn report(model: &ModelSpec, added: Option<&Added>, json: bool) {
         let (key, before, value, low, high) = (&p.key, p.before, p.value, p.low95, p.high95);
         println!("{key:<28} {before:>14.6} -> {value:>14.6}  (95 %: {low:.6} to {high:.6})");
     }
-    if let [Some(before), Some(without), Some(after), Some(floor)] =
-        [added.error_before, added.error_reidentified, added.error_after, added.noise_floor]
-            .map(|error| error.map(|error| 100.0 * error))
-    {
-        println!(
+    let errors = [added.error_before, added.error_reidentified, added.error_after, added.noise_floor];
+    match errors.map(|error| error.map(|error| 100.0 * error)) {
+        [Some(before), Some(without), Some(after), Some(floor)] => println!(
             "held-out error {before:.3} %, re-fitted without the effect {without:.3} %, with it {after:.3} %, \
              noise floor {floor:.3} %"
-        );
+        ),
+        [Some(before), Some(again), None, Some(floor)] => println!(
+            "held-out error with the instrument put right {before:.3} %, re-fitted {again:.3} %, noise floor {floor:.3} %"
+        ),
+        _ => {}
     }
 }
 

@@ -44,7 +44,7 @@ pub struct Added {
     pub error_before: Option<f64>,
     /// Its own numbers re-fitted.
     pub error_reidentified: Option<f64>,
-    /// With the effect; none for an instrument, which the kinematics alone tell.
+    /// With the effect; none for an instrument: the errors are of what it would have shown had it been sound.
     pub error_after: Option<f64>,
     /// Error that the noise alone leaves.
     pub noise_floor: Option<f64>,
@@ -189,7 +189,8 @@ fn parameters(refit: &Refit, nominal: &ModelSpec, given: &EffectSpec, scales: &S
         .collect()
 }
 
-/// An instrument's effect from the kinematics.
+/// An instrument's effect from the kinematics; the model's own numbers are re-fitted to what the instruments would have shown had they been
+/// sound.
 fn instrument(
     record: &Record,
     nominal: &ModelSpec,
@@ -212,15 +213,15 @@ fn instrument(
         }
         *estimate = gain.into();
     }
+    let searcher = Searcher::new(motion, nominal, Effort::default());
+    let base = searcher.base(nominal).ok_or(AddError::NoResponse { with: "as it is" })?;
     if finding.is_gain() {
-        let searcher = Searcher::new(motion, nominal, Effort::default());
-        let base = searcher.base(nominal);
-        let gains = base.map_or(Vec::new(), |base| searcher.gains(&base));
-        gains.first().copied().into_iter().for_each(|gains| finding.sharpen(gains));
+        searcher.gains(&base).first().copied().into_iter().for_each(|gains| finding.sharpen(gains));
     }
-    let (mut model, mut effect) = (nominal.clone(), given.clone());
+    let base = out_there(record, nominal, base);
+    let (mut model, mut effect) = (base.refit.spec.clone(), given.clone());
     let index = model.effects.len();
-    let mut parameters = Vec::with_capacity(finding.parameters.len());
+    let mut parameters = parameters(&base.refit, nominal, given, &candidates::scales(nominal, motion));
     for (name, estimate, _) in &finding.parameters {
         let before = effect.parameters.insert(name.clone(), estimate.value).unwrap_or(f64::NAN);
         parameters.push(Fitted {
@@ -232,13 +233,14 @@ fn instrument(
         });
     }
     model.effects.push(effect);
+    let reidentified = searcher.held_out_error(&base);
     Ok(Added {
         model,
         parameters,
-        error_before: None,
-        error_reidentified: None,
+        error_before: searcher.problem().output_error(nominal, 0.0, Part::HeldOut).map(|e| e.nrmse()),
+        error_reidentified: reidentified.map(|e| e.nrmse()),
         error_after: None,
-        noise_floor: None,
+        noise_floor: reidentified.map(|e| e.noise_floor(motion)),
         notes: record.notes.clone(),
     })
 }
@@ -281,8 +283,25 @@ mod tests {
         let added = add(&record, &b1_g2(), &own, &[]).expect("fits");
         let c = found(&added, "effect[0].c");
         assert!(c.low95 < 1500.0 && c.high95 > 1500.0 && c.low95 > 900.0, "{c:?}");
-        let late = add(&record, &b1_g2(), &effect("laser-delay", &[("dt_s", 1e-4)]), &[]).expect("told");
+        // Beside a spring that is off.
+        let mut off = truth.clone();
+        off.effects.remove(0);
+        off.isolator.stiffness_n_m[0] *= 1.04;
+        let late = effect("laser-delay", &[("dt_s", 1e-4)]);
+        let late = add(&seen(&off, 5), &b1_g2(), &late, &[]).expect("told");
         assert!((late.model.get("effect[0].dt_s").expect("there") - 1e-3).abs() < 2e-5, "{late:?}");
+        let stiffness = found(&late, "isolator.stiffness_n_m[0]");
+        assert!(
+            stiffness.low95 < 20.8e3 && stiffness.high95 > 20.8e3 && stiffness.low95 > 20.7e3,
+            "{late:?}"
+        );
+        assert_eq!(late.model.get("isolator.stiffness_n_m[0]").expect("there"), stiffness.value);
+        let (reidentified, floor) =
+            (late.error_reidentified.expect("held out"), late.noise_floor.expect("known"));
+        assert!(
+            reidentified < 1.05 * floor && late.error_before.expect("held out") > 2.0 * floor,
+            "{late:?}"
+        );
         let gain = add(&record, &b1_g2(), &effect("accelerometer-gain", &[("gain", 1.0)]), &[]);
         assert!(matches!(gain, Err(AddError::Sound { .. })), "{gain:?}");
         let mass = add(&record, &b1_g2(), &effect("mass-error", &[("dm_kg", 1.0)]), &[]);
