@@ -283,6 +283,8 @@ mod tests {
         let added = add(&record, &b1_g2(), &own, &[]).expect("fits");
         let c = found(&added, "effect[0].c");
         assert!(c.low95 < 1500.0 && c.high95 > 1500.0 && c.low95 > 900.0, "{c:?}");
+        let told = add(&record, &b1_g2(), &effect("laser-delay", &[("dt_s", 1e-4)]), &[]).expect("told");
+        assert!((told.model.get("effect[0].dt_s").expect("there") - 1e-3).abs() < 2e-5, "{told:?}");
         // Beside a spring that is off.
         let mut off = truth.clone();
         off.effects.remove(0);
