@@ -1,5 +1,6 @@
 //! `effect`: the catalogue, and effects into and out of model files.
 
+use super::fitted::{print_errors, print_numbers};
 use super::reading::{ReadingArgs, read_model, say_new};
 use super::{CliError, Outcome};
 use crate::config::Check;
@@ -178,21 +179,13 @@ fn report(model: &ModelSpec, added: Option<&Added>, json: bool) {
         return;
     }
     let Some(added) = added else { return };
-    for p in &added.parameters {
-        let (key, before, value, low, high) = (&p.key, p.before, p.value, p.low95, p.high95);
-        println!("{key:<28} {before:>14.6} -> {value:>14.6}  (95 %: {low:.6} to {high:.6})");
-    }
-    let errors = [added.error_before, added.error_reidentified, added.error_after, added.noise_floor];
-    match errors.map(|error| error.map(|error| 100.0 * error)) {
-        [Some(before), Some(without), Some(after), Some(floor)] => println!(
-            "held-out error {before:.3} %, re-fitted without the effect {without:.3} %, with it {after:.3} %, \
-             noise floor {floor:.3} %"
-        ),
-        [Some(before), Some(again), None, Some(floor)] => println!(
-            "held-out error with the instrument put right {before:.3} %, re-fitted {again:.3} %, noise floor {floor:.3} %"
-        ),
-        _ => {}
-    }
+    print_numbers(&added.parameters);
+    print_errors(&[
+        ("as given", added.error_before),
+        ("re-fitted without the effect", added.error_reidentified),
+        ("with it", added.error_after),
+        ("noise floor", added.noise_floor),
+    ]);
 }
 
 fn list(json: bool) {

@@ -1,5 +1,6 @@
 //! `shaketable identify`: re-fit a model's own numbers to a record.
 
+use super::fitted::{print_errors, print_numbers};
 use super::reading::{ReadArgs, say_new};
 use super::{CliError, Outcome};
 use crate::diagnose::out_there::out_there;
@@ -8,6 +9,7 @@ use crate::identify::kinematics::Tolerances;
 use crate::identify::motion::Motion;
 use crate::identify::problem::Part;
 use crate::identify::readied;
+use crate::identify::refit::FittedNumber;
 use std::path::PathBuf;
 
 /// Re-fit the parameters of a model to a record.
@@ -44,53 +46,34 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
             nominal.name
         )));
     };
-    let trial = out_there(&record, &nominal, trial);
+    let trial = out_there(&record, &motion, &nominal, trial);
     let before = searcher.problem().output_error(&nominal, 0.0, Part::HeldOut).map(|e| e.nrmse());
     let after = searcher.held_out_error(&trial);
     let floor = after.map(|e| e.noise_floor(&motion));
-    let rows: Vec<(String, f64, f64, f64, f64)> = trial
-        .refit
-        .numbers
-        .numbers
-        .iter()
-        .filter_map(|n| {
-            let (value, low, high) = trial.refit.interval(&n.key)?;
-            Some((n.key.clone(), nominal.get(&n.key).ok()?, value, low, high))
-        })
-        .collect();
+    let numbers = trial.refit.fitted(&nominal);
     if let Some(path) = &args.output {
         let text = toml::to_string(&trial.refit.spec).map_err(CliError::failed)?;
         std::fs::write(path, text).map_err(|e| CliError::failed(format!("{}: {e}", path.display())))?;
     }
+    let after = after.map(|e| e.nrmse());
     if args.json {
-        let parameters: serde_json::Map<String, serde_json::Value> = rows
-            .iter()
-            .map(|(key, nominal, value, low, high)| {
-                (
-                    key.clone(),
-                    serde_json::json!({"nominal": nominal, "value": value, "low95": low, "high95": high}),
-                )
-            })
-            .collect();
+        let told = |number: FittedNumber| {
+            let FittedNumber { key, nominal, value, low95, high95 } = number;
+            (key, serde_json::json!({"nominal": nominal, "value": value, "low95": low95, "high95": high95}))
+        };
+        let parameters: serde_json::Map<_, _> = numbers.into_iter().map(told).collect();
         let out = serde_json::json!({
             "parameters": parameters,
             "error_before": before,
-            "error_after": after.map(|e| e.nrmse()),
+            "error_after": after,
             "noise_floor": floor,
             "model": trial.refit.spec,
             "notes": record.notes,
         });
         println!("{out}");
     } else {
-        for (key, nominal, value, low, high) in &rows {
-            println!("{key:<28} {nominal:>14.6} -> {value:>14.6}  (95 %: {low:.6} to {high:.6})");
-        }
-        println!(
-            "held-out error {:.3} % -> {:.3} %, noise floor {:.3} %",
-            100.0 * before.unwrap_or(f64::NAN),
-            100.0 * after.map_or(f64::NAN, |e| e.nrmse()),
-            100.0 * floor.unwrap_or(f64::NAN)
-        );
+        print_numbers(&numbers);
+        print_errors(&[("as given", before), ("re-fitted", after), ("noise floor", floor)]);
     }
     Ok(Outcome::Done)
 }

@@ -27,6 +27,7 @@ pub mod doctor;
 pub mod effect;
 pub mod emulate;
 pub mod export;
+pub mod fitted;
 pub mod hold;
 pub mod identify;
 pub mod import;

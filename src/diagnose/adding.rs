@@ -2,36 +2,22 @@
 //! the model's own numbers are fitted with it, since an effect beside numbers that are off takes their
 //! errors over.
 
+use super::instruments::{self, Estimate95, Finding};
 use super::out_there::out_there;
 use super::search::{Effort, Searcher};
 use super::trial::{self, Trial};
-use super::{candidates, instruments, verdict};
+use super::{candidates, verdict};
 use crate::identify::kinematics::Tolerances;
 use crate::identify::least_squares::Settings;
 use crate::identify::motion::{Motion, MotionError};
-use crate::identify::problem::{Part, Problem};
+use crate::identify::problem::{OutputError, Part, Problem};
 use crate::identify::readied;
-use crate::identify::refit::{Domain, Refit};
+use crate::identify::refit::{Domain, FittedNumber};
 use crate::model::effects::{self, Place};
 use crate::model::{EffectSpec, ModelError, ModelSpec, Scales};
 use crate::parallel;
 use crate::record::Record;
 use serde::Serialize;
-
-/// A number that was fitted.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Fitted {
-    /// Key in the model file.
-    pub key: String,
-    /// Value in the model that was given, or where the effect's parameter started.
-    pub before: f64,
-    /// Best value.
-    pub value: f64,
-    /// Lower end of the 95 % interval.
-    pub low95: f64,
-    /// Upper end.
-    pub high95: f64,
-}
 
 /// A model with an effect more, fitted to a record.
 #[derive(Clone, Debug, Serialize)]
@@ -39,12 +25,13 @@ pub struct Added {
     /// The model, the effect its last one.
     pub model: ModelSpec,
     /// What was fitted.
-    pub parameters: Vec<Fitted>,
-    /// NRMSE of the held-out steps: the model as it was given.
+    pub parameters: Vec<FittedNumber>,
+    /// NRMSE of the held-out steps: the model as it was given. Instruments are as the record has them where the effect is one of them, else
+    /// put right.
     pub error_before: Option<f64>,
     /// Its own numbers re-fitted.
     pub error_reidentified: Option<f64>,
-    /// With the effect; none for an instrument: the errors are of what it would have shown had it been sound.
+    /// With the effect.
     pub error_after: Option<f64>,
     /// Error that the noise alone leaves.
     pub noise_floor: Option<f64>,
@@ -106,37 +93,55 @@ pub fn add(
     }
     let record = &*readied(record);
     let motion = Motion::of(record, nominal.mass_kg, Tolerances::default())?;
-    if effect.is_instrument() {
-        return instrument(record, nominal, given, &motion);
-    }
     let searcher = Searcher::new(&motion, nominal, Effort::default());
     let base = searcher.base(nominal).ok_or(AddError::NoResponse { with: "as it is" })?;
-    let lost = AddError::NoResponse { with: "with the effect" };
-    let trial = fitted(&searcher, &motion, nominal, &base, given, fixed_start).ok_or(lost)?;
-    let trial = out_there(record, nominal, searcher.bounded(searcher.heard_by_itself(trial)));
-    let (refit, after) = (&trial.refit, searcher.held_out_error(&trial));
-    Ok(Added {
-        parameters: parameters(refit, nominal, given, &candidates::scales(nominal, &motion)),
-        error_before: searcher.problem().output_error(nominal, 0.0, Part::HeldOut).map(|e| e.nrmse()),
-        error_reidentified: searcher.held_out_error(&base).map(|e| e.nrmse()),
+    let errors = |problem: &Problem<'_>, re_fitted: Option<Vec<(usize, OutputError)>>| {
+        let given = problem.output_error(nominal, 0.0, Part::HeldOut);
+        let re_fitted = re_fitted.and_then(|errors| problem.sum(&errors, Part::HeldOut));
+        [given, re_fitted].map(|error| error.map(|e| e.nrmse()))
+    };
+    let (trial, told, [error_before, error_reidentified]) = if effect.is_instrument() {
+        let told = told(record, given, &searcher, &base)?;
+        // What it does to the errors shows where instruments are as the record has them.
+        let seen = Motion::uncorrected(record, nominal.mass_kg)?;
+        let as_seen = Searcher::new(&seen, nominal, Effort::default());
+        (base, Some(told), errors(as_seen.problem(), as_seen.errors_as_seen(nominal)))
+    } else {
+        let trial = fitted(&searcher, nominal, &base, given, fixed_start)
+            .ok_or(AddError::NoResponse { with: "with the effect" })?;
+        (
+            searcher.bounded(searcher.heard_by_itself(trial)),
+            None,
+            errors(searcher.problem(), searcher.errors(&base)),
+        )
+    };
+    let trial = out_there(record, &motion, nominal, trial);
+    let after = searcher.held_out_error(&trial);
+    let mut added = Added {
+        parameters: trial.refit.fitted(&started(nominal, given, &candidates::scales(nominal, &motion))),
+        error_before,
+        error_reidentified,
         error_after: after.map(|e| e.nrmse()),
         noise_floor: after.map(|e| e.noise_floor(&motion)),
-        model: refit.spec.clone(),
+        model: trial.refit.spec,
         notes: record.notes.clone(),
-    })
+    };
+    if let Some(finding) = told {
+        added.take_up(finding, given.clone());
+    }
+    Ok(added)
 }
 
 /// The effect fitted from several starts by force on a thinned record, the best in full and then by the simulated response; from the
 /// starts that the response itself puts first, too.
 fn fitted(
     searcher: &Searcher<'_>,
-    motion: &Motion,
     nominal: &ModelSpec,
     base: &Trial,
     given: &EffectSpec,
     fixed_start: &[&str],
 ) -> Option<Trial> {
-    let effect = effects::find(&given.name).ok()?;
+    let (effect, motion) = (effects::find(&given.name).ok()?, searcher.motion);
     let scales = candidates::scales(&base.refit.spec, motion);
     let mut starts = vec![given.clone()];
     if effect.place != Place::User {
@@ -166,39 +171,29 @@ fn fitted(
     }
 }
 
-fn parameters(refit: &Refit, nominal: &ModelSpec, given: &EffectSpec, scales: &Scales) -> Vec<Fitted> {
-    let mut started = nominal.clone();
-    started.effects.push(given.clone());
-    // Shapes that were left out have been what they are then.
-    if let (Ok(effect), Some(last)) = (effects::find(&given.name), started.effects.last_mut()) {
-        for parameter in (effect.parameters)(scales) {
-            if let Some(default) = parameter.default {
-                last.parameters.entry(parameter.name.to_owned()).or_insert(default);
-            }
+/// The model with the effect as its fit started; shapes that were left out have been what they are then.
+fn started(nominal: &ModelSpec, given: &EffectSpec, scales: &Scales) -> ModelSpec {
+    let mut given = given.clone();
+    let shapes = effects::find(&given.name).map(|effect| (effect.parameters)(scales)).unwrap_or_default();
+    for shape in shapes {
+        if let Some(default) = shape.default {
+            given.parameters.entry(shape.name.to_owned()).or_insert(default);
         }
     }
-    refit
-        .numbers
-        .numbers
-        .iter()
-        .filter_map(|number| {
-            let (value, low95, high95) = refit.interval(&number.key)?;
-            let before = started.get(&number.key).ok()?;
-            Some(Fitted { key: number.key.clone(), before, value, low95, high95 })
-        })
-        .collect()
+    let mut started = nominal.clone();
+    started.effects.push(given);
+    started
 }
 
-/// An instrument's effect from the kinematics; the model's own numbers are re-fitted to what the instruments would have shown had they been
-/// sound.
-fn instrument(
+/// An instrument's effect as the kinematics tell it, and the response of the model what it tells better.
+fn told(
     record: &Record,
-    nominal: &ModelSpec,
     given: &EffectSpec,
-    motion: &Motion,
-) -> Result<Added, AddError> {
+    searcher: &Searcher<'_>,
+    base: &Trial,
+) -> Result<Finding, AddError> {
     let sound = || AddError::Sound { name: given.name.clone() };
-    let found = motion.instruments.as_ref().ok_or_else(sound)?;
+    let found = searcher.motion.instruments.as_ref().ok_or_else(sound)?;
     let mut finding = instruments::judge(found, record, Tolerances::default())
         .into_iter()
         .find(|finding| finding.name == given.name)
@@ -213,36 +208,25 @@ fn instrument(
         }
         *estimate = gain.into();
     }
-    let searcher = Searcher::new(motion, nominal, Effort::default());
-    let base = searcher.base(nominal).ok_or(AddError::NoResponse { with: "as it is" })?;
     if finding.is_gain() {
-        searcher.gains(&base).first().copied().into_iter().for_each(|gains| finding.sharpen(gains));
+        searcher.gains(base).first().copied().into_iter().for_each(|gains| finding.sharpen(gains));
     }
-    let base = out_there(record, nominal, base);
-    let (mut model, mut effect) = (base.refit.spec.clone(), given.clone());
-    let index = model.effects.len();
-    let mut parameters = parameters(&base.refit, nominal, given, &candidates::scales(nominal, motion));
-    for (name, estimate, _) in &finding.parameters {
-        let before = effect.parameters.insert(name.clone(), estimate.value).unwrap_or(f64::NAN);
-        parameters.push(Fitted {
-            key: format!("effect[{index}].{name}"),
-            before,
-            value: estimate.value,
-            low95: estimate.low95,
-            high95: estimate.high95,
-        });
+    Ok(finding)
+}
+
+impl Added {
+    /// Takes an instrument's effect up as it was found.
+    fn take_up(&mut self, finding: Finding, mut effect: EffectSpec) {
+        let index = self.model.effects.len();
+        for (name, estimate, _) in finding.parameters {
+            let Estimate95 { value, low95, high95 } = estimate;
+            let nominal = effect.parameters.get(&name).copied().unwrap_or(f64::NAN);
+            let key = format!("effect[{index}].{name}");
+            self.parameters.push(FittedNumber { key, nominal, value, low95, high95 });
+            effect.parameters.insert(name, value);
+        }
+        self.model.effects.push(effect);
     }
-    model.effects.push(effect);
-    let reidentified = searcher.held_out_error(&base);
-    Ok(Added {
-        model,
-        parameters,
-        error_before: searcher.problem().output_error(nominal, 0.0, Part::HeldOut).map(|e| e.nrmse()),
-        error_reidentified: reidentified.map(|e| e.nrmse()),
-        error_after: None,
-        noise_floor: reidentified.map(|e| e.noise_floor(motion)),
-        notes: record.notes.clone(),
-    })
 }
 
 #[cfg(test)]
@@ -251,7 +235,7 @@ mod tests {
     use crate::diagnose::testing::seen;
     use crate::model::testing::{b1_g2, effect};
 
-    fn found<'a>(added: &'a Added, key: &str) -> &'a Fitted {
+    fn found<'a>(added: &'a Added, key: &str) -> &'a FittedNumber {
         added.parameters.iter().find(|p| p.key == key).unwrap_or_else(|| panic!("{key}: not fitted"))
     }
 
@@ -298,12 +282,10 @@ mod tests {
             "{late:?}"
         );
         assert_eq!(late.model.get("isolator.stiffness_n_m[0]").expect("there"), stiffness.value);
-        let (reidentified, floor) =
-            (late.error_reidentified.expect("held out"), late.noise_floor.expect("known"));
-        assert!(
-            reidentified < 1.05 * floor && late.error_before.expect("held out") > 2.0 * floor,
-            "{late:?}"
-        );
+        let [before, reidentified, after, floor] =
+            [late.error_before, late.error_reidentified, late.error_after, late.noise_floor]
+                .map(|error| error.expect("known"));
+        assert!(after < 1.05 * floor && reidentified > 1.5 * floor && before > 2.0 * floor, "{late:?}");
         let gain = add(&record, &b1_g2(), &effect("accelerometer-gain", &[("gain", 1.0)]), &[]);
         assert!(matches!(gain, Err(AddError::Sound { .. })), "{gain:?}");
         let mass = add(&record, &b1_g2(), &effect("mass-error", &[("dm_kg", 1.0)]), &[]);

@@ -4,9 +4,9 @@ use super::anew::ASTRAY;
 use super::engine::Options;
 use super::instruments::Finding;
 use super::next_test::{self, Reach};
-use super::report::{Diagnosis, NamedEffect, ParameterEstimate, Reidentified, Rung, StepErrors};
+use super::report::{Diagnosis, NamedEffect, ParameterEstimate, Rung, StepErrors};
 use super::search::{Search, Searcher};
-use super::trial::{self, Response, Trial};
+use super::trial::{Response, Trial};
 use super::verdict::{self, Decision, Refused, Verdict};
 use super::{late, missing_force};
 use crate::identify::least_squares::Free;
@@ -43,18 +43,11 @@ impl Composer<'_> {
         let (with, without) = (self.searcher.errors(chosen)?, self.searcher.errors(&search.base));
         let after = problem.sum(&with, Part::HeldOut)?;
         // As given means as measured: instruments uncorrected.
-        let raw = if findings.is_empty() { None } else { self.raw_motion() };
-        let raw_problem = raw
-            .as_ref()
-            .map(|motion| Problem::new(motion, self.nominal, self.options.effort.fitting_samples));
-        let before_problem = raw_problem.as_ref().unwrap_or(problem);
-        let reidentified = match &raw_problem {
-            Some(raw) => {
-                let base =
-                    trial::base(raw, self.nominal, Some(&search.base.refit), self.searcher.stride())?.refit;
-                raw.output_errors(&base.spec, base.zero_m, Part::All)
-            }
-            None => without.clone(),
+        let seen = if findings.is_empty() { None } else { self.seen() };
+        let as_seen = seen.as_ref().map(|motion| Searcher::new(motion, self.nominal, self.options.effort));
+        let (before_problem, reidentified) = match &as_seen {
+            Some(searcher) => (searcher.problem(), searcher.errors_as_seen(self.nominal)),
+            None => (problem, without.clone()),
         };
         let rung = |model: &str, p: &Problem<'_>, errors: Option<&[(usize, OutputError)]>| {
             let error =
@@ -106,7 +99,7 @@ impl Composer<'_> {
             missing_force: missing_force::map(problem, &search.base.refit, Part::All),
             steps: self.steps(&without.unwrap_or_default(), &with),
             ladder,
-            reidentified: self.reidentified(&chosen.refit),
+            reidentified: chosen.refit.fitted(self.nominal),
             not_identifiable: self.not_identifiable(&chosen.refit),
             notes: self.notes(
                 chosen,
@@ -120,7 +113,7 @@ impl Composer<'_> {
     }
 
     /// The motion with the instruments taken as they are.
-    fn raw_motion(&self) -> Option<Motion> {
+    fn seen(&self) -> Option<Motion> {
         let part = |(record, model): &(&Record, &ModelSpec)| {
             let motion = Motion::uncorrected(record, model.mass_kg).ok()?;
             Some((motion, Setting::between(self.nominal, model).ok()?))
@@ -239,19 +232,6 @@ impl Composer<'_> {
             }
         };
         without.iter().zip(with).map(step).collect()
-    }
-
-    fn reidentified(&self, refit: &Refit) -> Vec<Reidentified> {
-        refit
-            .numbers
-            .numbers
-            .iter()
-            .filter_map(|number| {
-                let nominal = self.nominal.get(&number.key).ok()?;
-                let (value, low95, high95) = refit.interval(&number.key)?;
-                Some(Reidentified { key: number.key.clone(), nominal, value, low95, high95 })
-            })
-            .collect()
     }
 
     /// Numbers whose interval is hardly narrower than what the model file allowed.

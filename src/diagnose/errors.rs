@@ -5,6 +5,8 @@ use super::trial::Trial;
 use crate::identify::kinematics::Estimate;
 use crate::identify::motion::{FINEST, Motion};
 use crate::identify::problem::{OutputError, Part};
+use crate::identify::refit::Refit;
+use crate::model::ModelSpec;
 use crate::record::Kind;
 
 /// What is left is clearly less than noise when it is below this share of it.
@@ -31,6 +33,12 @@ impl Searcher<'_> {
         }
         errors.sort_by_key(|(k, _)| *k);
         Some(errors)
+    }
+
+    /// The same of the base model re-fitted to instruments that are as they are: nothing of them is estimated beside it, as a gain would be.
+    pub fn errors_as_seen(&self, nominal: &ModelSpec) -> Option<Vec<(usize, OutputError)>> {
+        let Refit { spec, zero_m, .. } = self.base(nominal)?.refit;
+        self.problem().output_errors(&spec, zero_m, Part::All)
     }
 
     /// The sum of those errors over the held-out steps.

@@ -4,7 +4,6 @@
 use super::contest::FURTHER_ON;
 use super::search::{Effort, Searcher, UNSEEN};
 use super::trial::Trial;
-use crate::identify::kinematics::Tolerances;
 use crate::identify::least_squares::Settings;
 use crate::identify::motion::Motion;
 use crate::model::ModelSpec;
@@ -12,14 +11,14 @@ use crate::record::Record;
 
 const SETTINGS: Settings = Settings { iterations: 30, ..FURTHER_ON };
 
-/// A fitted explanation with those of its numbers that the steady steps leave as they were given fitted to the cycles in which the mass
+/// A fitted explanation of a record and its motion with those of its numbers that the steady steps leave as they were given fitted to the cycles in which the mass
 /// goes farther, from where they are and from where the force along the motion puts them; everything else moves within what the steady
 /// steps told, and stays as they told it. As it is where there are no such numbers or no such cycles.
-pub fn out_there(record: &Record, nominal: &ModelSpec, trial: Trial) -> Trial {
-    farther(record, nominal, &trial).unwrap_or(trial)
+pub fn out_there(record: &Record, motion: &Motion, nominal: &ModelSpec, trial: Trial) -> Trial {
+    farther(record, motion, nominal, &trial).unwrap_or(trial)
 }
 
-fn farther(record: &Record, nominal: &ModelSpec, trial: &Trial) -> Option<Trial> {
+fn farther(record: &Record, motion: &Motion, nominal: &ModelSpec, trial: &Trial) -> Option<Trial> {
     trial.response.as_ref()?;
     let mut refit = trial.refit.clone();
     let told = refit.numbers.numbers.iter().zip(&refit.numbers.free).zip(&refit.sigmas);
@@ -32,7 +31,7 @@ fn farther(record: &Record, nominal: &ModelSpec, trial: &Trial) -> Option<Trial>
     if unseen.is_empty() {
         return None;
     }
-    let motion = Motion::with_farthest(record, nominal.mass_kg, Tolerances::default()).ok()?;
+    let motion = motion.farthest(record).ok()?;
     if !motion.windows.iter().any(|window| window.settling) {
         return None;
     }
@@ -74,6 +73,7 @@ fn farther(record: &Record, nominal: &ModelSpec, trial: &Trial) -> Option<Trial>
 mod tests {
     use super::*;
     use crate::diagnose::testing::seen;
+    use crate::identify::kinematics::Tolerances;
     use crate::model::testing::b1_g2;
 
     #[test]
@@ -88,7 +88,8 @@ mod tests {
         };
         let with = |truth: &ModelSpec| {
             let record = seen(truth, 5);
-            let motion = Motion::with_farthest(&record, 500.0, Tolerances::default()).expect("sound");
+            let motion = Motion::of(&record, 500.0, Tolerances::default()).expect("sound");
+            let motion = motion.farthest(&record).expect("sound");
             (record, largest(&motion, false), largest(&motion, true))
         };
         // The knee between where the mass is steady and where it settles.
@@ -104,7 +105,7 @@ mod tests {
         let slope = |trial: &Trial| trial.refit.interval("isolator.stiffness_n_m[2]").expect("moves");
         let (before, low, high) = slope(&base);
         assert!((before - 5000.0).abs() < 50.0, "no steady step tells it: {before} {low} {high}");
-        let (after, low, high) = slope(&out_there(&record, &nominal, base));
+        let (after, low, high) = slope(&out_there(&record, &motion, &nominal, base));
         assert!((after - 6000.0).abs() < 500.0 && low < 6000.0 && 6000.0 < high, "{after} {low} {high}");
     }
 }

@@ -3,6 +3,7 @@
 use super::missing_force::MissingForce;
 use super::next_test::NextTest;
 use super::verdict::{Refused, Verdict};
+use crate::identify::refit::FittedNumber;
 use crate::model::effects::unit_behind;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -42,21 +43,6 @@ pub struct Rung {
     pub training: f64,
     /// NRMSE on the held-out steps.
     pub held_out: f64,
-}
-
-/// One re-identified number of the base model.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Reidentified {
-    /// Key in the model file.
-    pub key: String,
-    /// In the model file.
-    pub nominal: f64,
-    /// Re-identified together with the named effects.
-    pub value: f64,
-    /// Lower end of the 95 % interval.
-    pub low95: f64,
-    /// Upper end of the 95 % interval.
-    pub high95: f64,
 }
 
 /// Error of one step, response simulated.
@@ -104,8 +90,8 @@ pub struct Diagnosis {
     pub ladder: Vec<Rung>,
     /// Errors step by step.
     pub steps: Vec<StepErrors>,
-    /// Re-identified numbers.
-    pub reidentified: Vec<Reidentified>,
+    /// Numbers of the base model, re-identified together with the named effects.
+    pub reidentified: Vec<FittedNumber>,
     /// Numbers that this record cannot tell.
     pub not_identifiable: Vec<String>,
     /// What was noticed about record and instruments.

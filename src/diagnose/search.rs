@@ -143,11 +143,6 @@ impl<'a> Searcher<'a> {
         &self.fitting
     }
 
-    /// Every so many samples count in the output domain.
-    pub fn stride(&self) -> usize {
-        self.stride
-    }
-
     /// Re-fits the base model.
     pub fn base(&self, nominal: &ModelSpec) -> Option<Trial> {
         let refit = trial::base_by_force(&self.fitting, nominal, self.fitted.as_ref())?;

@@ -325,7 +325,7 @@ mod tests {
         let added =
             add(&record, &b1_g2(), &effect("coulomb-friction", &[("fc_n", 5.0)]), &[]).expect("fitted");
         let over = added.parameters.iter().find(|p| p.key == format!("effect[0].{TURNING}")).expect("said");
-        assert_eq!((over.before, Some(&over.value)), (0.0, added.model.effects[0].parameters.get(TURNING)));
+        assert_eq!((over.nominal, Some(&over.value)), (0.0, added.model.effects[0].parameters.get(TURNING)));
     }
 
     #[test]

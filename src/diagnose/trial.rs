@@ -258,17 +258,7 @@ impl Trial {
     }
 }
 
-/// Fits the base model's numbers alone, from where another fit of them ended, if there is one.
-pub fn base(
-    problem: &Problem<'_>,
-    nominal: &ModelSpec,
-    from: Option<&Refit>,
-    stride: usize,
-) -> Option<Trial> {
-    finish(problem, &judge_by_force(problem, &[], base_by_force(problem, nominal, from)?)?, stride)
-}
-
-/// The same by the force along the measured motion alone.
+/// Re-fits the base model by the force along the measured motion alone.
 pub fn base_by_force(problem: &Problem<'_>, nominal: &ModelSpec, from: Option<&Refit>) -> Option<Refit> {
     let mut numbers = Numbers::of_base(nominal, problem.motion.kind);
     if !problem.motion.tells_mass() {

@@ -147,13 +147,13 @@ impl Motion {
         Self::with(record, mass_kg, kinematics::examine(record, tolerances), false)
     }
 
-    /// As [`Motion::of`], with the cycles in which the mass goes farther than in any steady stretch: for the last fit of a model that is to
-    /// follow it there, too. A search does without: what drives them is known with noise, and fits take many more rounds.
+    /// The same of its record with the cycles in which the mass goes farther than in any steady stretch: for the last fit of a model that
+    /// is to follow it there, too. A search does without: what drives them is known with noise, and fits take many more rounds.
     ///
     /// # Errors
-    /// A missing channel, or too few samples.
-    pub fn with_farthest(record: &Record, mass_kg: f64, tolerances: Tolerances) -> Result<Self, MotionError> {
-        Self::with(record, mass_kg, kinematics::examine(record, tolerances), true)
+    /// As of the motion itself.
+    pub fn farthest(&self, record: &Record) -> Result<Self, MotionError> {
+        Self::with(record, self.mass_kg, self.instruments.clone(), true)
     }
 
     /// As [`Motion::of`], the instruments taken to be sound.

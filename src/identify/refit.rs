@@ -2,9 +2,10 @@
 
 use super::least_squares::{self, Fit, Free, Settings};
 use super::motion::Motion;
-use super::numbers::Numbers;
+use super::numbers::{Number, Numbers};
 use super::problem::{Part, Problem};
 use crate::model::ModelSpec;
+use serde::Serialize;
 
 /// Standard deviations to each side within which 95 % are.
 const TIMES: f64 = 1.96;
@@ -28,7 +29,32 @@ pub struct Refit {
     pub limits: Vec<(f64, f64)>,
 }
 
+/// A number of a model that was fitted.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct FittedNumber {
+    /// Key in the model file.
+    pub key: String,
+    /// In the model that was given; of an effect's parameter, where it started.
+    pub nominal: f64,
+    /// Best value.
+    pub value: f64,
+    /// Lower end of the 95 % interval.
+    pub low95: f64,
+    /// Upper end.
+    pub high95: f64,
+}
+
 impl Refit {
+    /// All that was fitted of what a given model has.
+    pub fn fitted(&self, given: &ModelSpec) -> Vec<FittedNumber> {
+        let of = |number: &Number| {
+            let (value, low95, high95) = self.interval(&number.key)?;
+            let nominal = given.get(&number.key).ok()?;
+            Some(FittedNumber { key: number.key.clone(), nominal, value, low95, high95 })
+        };
+        self.numbers.numbers.iter().filter_map(of).collect()
+    }
+
     /// Value and 95 % interval of a key.
     pub fn interval(&self, key: &str) -> Option<(f64, f64, f64)> {
         let index = self.numbers.numbers.iter().position(|n| n.key == key)?;

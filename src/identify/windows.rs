@@ -202,7 +202,8 @@ mod tests {
     #[test]
     fn the_farthest_excursion_is_looked_at_although_the_motion_only_settles_there() {
         let record = seen(&b1_g2(), 1);
-        let motion = Motion::with_farthest(&record, 500.0, Tolerances::default()).expect("sound");
+        let motion = Motion::of(&record, 500.0, Tolerances::default()).expect("sound").farthest(&record);
+        let motion = motion.expect("sound");
         let (steady, settling): (Vec<_>, Vec<_>) = motion.windows.iter().partition(|w| !w.settling);
         let reached = steady.iter().map(|w| largest(&motion, w.range.clone())).fold(0.0, f64::max);
         let between = largest(&motion, steady[0].range.end..steady[steady.len() - 1].range.start);

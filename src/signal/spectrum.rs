@@ -92,26 +92,32 @@ impl Spectrum {
     /// The same under a Hann window, without its mean: where the motion is and how much noise, without the ends' leakage. Powers are
     /// [`TAPERED`] times those of the channel. All channels of one length give bins of the same frequencies.
     pub fn tapered(channel: &[f64], sample_rate_hz: f64) -> Self {
-        let samples = channel.len();
-        let mean = channel.iter().sum::<f64>() / samples.max(1) as f64;
-        let mut tapered: Vec<f64> = channel.iter().zip(hann(samples)).map(|(x, w)| (x - mean) * w).collect();
-        tapered.resize(fast_length(samples), 0.0);
-        Self { window: TAPERED, ..Self::of_extended(tapered, samples, 0, sample_rate_hz) }
+        Self::under((hann(channel.len()), TAPERED), channel, sample_rate_hz)
     }
 
     /// The same under a window that is flat but for cosines at its ends (Tukey 1967): where one channel answers to another, it does so
     /// without what a window that grows or falls adds to its damping. Powers are [`EASED`] times those of the channel.
     pub fn eased(channel: &[f64], sample_rate_hz: f64) -> Self {
         let samples = channel.len();
-        let mean = channel.iter().sum::<f64>() / samples.max(1) as f64;
         let ramp = EASING * samples as f64;
-        let window = |i: usize| {
+        let window = (0..samples).map(|i| {
             let from_end = i.min(samples - 1 - i) as f64 + 0.5;
             if from_end < ramp { 0.5 - 0.5 * (PI * from_end / ramp).cos() } else { 1.0 }
-        };
-        let mut eased: Vec<f64> = channel.iter().enumerate().map(|(i, x)| (x - mean) * window(i)).collect();
-        eased.resize(fast_length(samples), 0.0);
-        Self { window: EASED, ..Self::of_extended(eased, samples, 0, sample_rate_hz) }
+        });
+        Self::under((window, EASED), channel, sample_rate_hz)
+    }
+
+    /// Without its mean, under a window and its mean square.
+    fn under(
+        (window, mean_square): (impl Iterator<Item = f64>, f64),
+        channel: &[f64],
+        sample_rate_hz: f64,
+    ) -> Self {
+        let samples = channel.len();
+        let mean = channel.iter().sum::<f64>() / samples.max(1) as f64;
+        let mut seen: Vec<f64> = channel.iter().zip(window).map(|(x, w)| (x - mean) * w).collect();
+        seen.resize(fast_length(samples), 0.0);
+        Self { window: mean_square, ..Self::of_extended(seen, samples, 0, sample_rate_hz) }
     }
 
     fn of_extended(mut extended: Vec<f64>, samples: usize, padding: usize, sample_rate_hz: f64) -> Self {
