@@ -46,7 +46,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
             nominal.name
         )));
     };
-    let trial = out_there(&record, &motion, &nominal, trial);
+    let trial = out_there(&record, &motion, &nominal, searcher.bounded(trial));
     let before = searcher.problem().output_error(&nominal, 0.0, Part::HeldOut).map(|e| e.nrmse());
     let after = searcher.held_out_error(&trial);
     let floor = after.map(|e| e.noise_floor(&motion));

@@ -101,7 +101,7 @@ impl Searcher<'_> {
 
     /// An explanation with the limits of its numbers by the profile of the likelihood; where that comes upon a better place, the fit goes
     /// on from there. A long record leaves so little between them that a valley does not bend.
-    pub(super) fn bounded(&self, mut trial: Trial) -> Trial {
+    pub fn bounded(&self, mut trial: Trial) -> Trial {
         let Some(measured) = self.measured.as_ref().filter(|measured| !measured.is_long()) else {
             return trial;
         };
@@ -208,6 +208,28 @@ mod tests {
         let told = bounded.refit.spec.effects[0].parameters["tau_s"];
         assert!((told / 0.08 - 1.0).abs() < 0.05, "{told}");
         assert_eq!(bounded.refit.limits.len(), bounded.refit.numbers.numbers.len());
+    }
+
+    #[test]
+    fn a_knee_that_the_mass_does_not_reach_may_be_anywhere_beyond_the_motion() {
+        const GIVEN_M: f64 = 0.0163;
+        let mut truth = b1_g2();
+        truth.bumper = None;
+        truth.isolator.breakpoints_m[1] = 0.2;
+        let record = seen(&truth, 18);
+        let motion = Motion::of(&record, 500.0, Tolerances::default()).expect("a motion");
+        // Given within the motion of the steps that are fitted: the fit takes it to where that ends, and no farther.
+        let mut nominal = truth.clone();
+        nominal.isolator.breakpoints_m[1] = GIVEN_M;
+        let searcher = Searcher::new(&motion, &nominal, Effort::default());
+        let base = searcher.base(&nominal).expect("follows");
+        let knee = |trial: &Trial| trial.refit.interval("isolator.breakpoints_m[1]").expect("moves");
+        let (value, low, high) = knee(&base);
+        let prior_m = 0.06 / 1.96 * GIVEN_M;
+        assert!(value > GIVEN_M && high - value < 0.2 * prior_m, "{low} {value} {high}");
+        let (_, bounded_low, high) = knee(&searcher.bounded(base));
+        assert!((bounded_low - low).abs() < 0.1 * prior_m, "{bounded_low} {low}");
+        assert!(high - value > 0.5 * prior_m, "{high} beyond {value}");
     }
 
     #[test]

@@ -18,10 +18,12 @@ const NEAR: (f64, f64) = (0.75, 1.35);
 const ATTEMPTS: usize = 4;
 /// A rise of the log-likelihood, twice, that is a better place.
 const RISEN: f64 = 2.0;
-/// Share of its prior's deviation that the record leaves a number of the model's own which it half knows: one that stands against others,
-/// such as a slope that begins where a bumper does. What is known better has no room for a valley to bend, what is not known at all has
-/// its prior.
-const HALF_KNOWN: (f64, f64) = (0.15, 0.9);
+/// Share of its prior's deviation that the record leaves a number of the model's own of which it says nothing: that has its prior. Of what
+/// it says something the curvature may say too much: a slope that begins where a bumper does bends the valley of the gap, and a knee at the
+/// end of the motion is held by what is within and by nothing beyond.
+const UNKNOWN: f64 = 0.9;
+/// A rise to a share of the limit that a flat side is taken to have at least: the next attempt is so much farther out.
+const FLAT: f64 = 0.01;
 /// Steps with the slopes of the floor, and a fall of the cost below which these have led to the least.
 const STEPS: usize = 6;
 const SETTLED: f64 = 0.05;
@@ -38,16 +40,15 @@ pub struct Profile {
 }
 
 impl Measured<'_> {
-    /// Profiles the likelihood along the numbers of the effects, and those of the model's own that are half known (Venzon and Moolgavkar
-    /// 1988), `colour` residuals counting as one independent one. Every other number may at least be where it was fitted beside their
+    /// Profiles the likelihood along the numbers of the effects, and those of the model's own that the record tells (Venzon and
+    /// Moolgavkar 1988), `colour` residuals counting as one independent one. Every other number may at least be where it was fitted beside their
     /// limits.
     pub fn profile(&self, spec: &ModelSpec, numbers: &Numbers, laid: &Laid, colour: f64) -> Profile {
         let covariance = self.covariance(numbers, laid, colour);
         let sigma = |j: usize| covariance[(j, j)].max(0.0).sqrt();
-        let half_known =
-            |j: usize| (HALF_KNOWN.0..HALF_KNOWN.1).contains(&(sigma(j) / numbers.free[j].prior.1));
-        let own = (0..numbers.numbers.len())
-            .filter(|j| numbers.numbers[*j].key.starts_with("effect[") || half_known(*j));
+        let told = |j: usize| sigma(j) < UNKNOWN * numbers.free[j].prior.1;
+        let own =
+            (0..numbers.numbers.len()).filter(|j| numbers.numbers[*j].key.starts_with("effect[") || told(*j));
         let sides: Vec<(usize, f64)> = own.flat_map(|j| [(j, -1.0), (j, 1.0)]).collect();
         let slopes = if sides.is_empty() { None } else { self.slopes_there(spec, numbers, laid) };
         let from = Floor { spec, numbers, laid, colour, covariance: &covariance, slopes };
@@ -109,7 +110,7 @@ impl Measured<'_> {
                     (fallen, there.values)
                 }
             };
-            let times = (FALL / fallen.max(0.1 * FALL)).sqrt();
+            let times = (FALL / fallen.max(FLAT * FALL)).sqrt();
             along = there.iter().zip(&laid.values).map(|(there, here)| there - here).collect();
             let share = fallen / FALL;
             if at_bound && share < NEAR.1 {
