@@ -160,7 +160,10 @@ impl Composer<'_> {
         // The last stage that an effect was tried in speaks.
         let mut out: Vec<Refused> = Vec::new();
         for refused in &decision.refused {
-            if decision.chosen.names.contains(&refused.name) {
+            if [&decision.chosen.names, &decision.ambiguous_with]
+                .iter()
+                .any(|said| said.contains(&refused.name))
+            {
                 continue;
             }
             match out.iter_mut().find(|known| known.name == refused.name) {

@@ -3,7 +3,7 @@
 
 use super::candidates;
 use super::contest::{FURTHER_ON, HALF, best_first};
-use super::search::{Searcher, Stage};
+use super::search::{Search, Searcher, Stage};
 use super::summits::in_short;
 use super::trial::{self, Trial};
 use super::verdict;
@@ -19,18 +19,20 @@ const MERGED: f64 = 20.0;
 const BY_FORCE: usize = 4;
 
 impl Searcher<'_> {
-    /// An effect that contains the one before it (Stribeck's friction and Coulomb's) may do alone.
-    pub(super) fn merge(&self, stage: &mut Stage, base: &Trial) {
+    /// An effect that contains the one before it (Stribeck's friction and Coulomb's) may do alone; so fitted it may do better than it did
+    /// beside the model without either.
+    pub(super) fn merge(&self, stage: &mut Stage, search: &mut Search) {
         let Some(measured) = &self.measured else { return };
         for trial in &mut stage.finalists {
             let [simple, whole] = trial.names.as_slice() else { continue };
             if !candidates::contained_in(whole).contains(&simple.as_str()) {
                 continue;
             }
-            let alone = self.without_one(trial, 0, base);
+            let alone = self.without_one(trial, 0, &search.base);
             if let Some(alone) = trial::respond(measured, &alone, None, Settings::default())
                 && verdict::apart(trial, &alone) < MERGED
             {
+                search.improve(&alone);
                 *trial = alone;
             }
         }
@@ -132,6 +134,18 @@ impl Searcher<'_> {
     }
 }
 
+impl Search {
+    /// Takes a fit in place of one of the same effects that it does better than.
+    fn improve(&mut self, trial: &Trial) {
+        for stage in &mut self.stages {
+            let worse = |known: &&mut Trial| known.names == trial.names && verdict::apart(trial, known) > 0.0;
+            let Some(known) = stage.finalists.iter_mut().find(worse) else { continue };
+            known.clone_from(trial);
+            best_first(&mut stage.finalists, &self.base);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -162,6 +176,40 @@ mod tests {
         assert!((told / 0.08 - 1.0).abs() < 0.1, "{told}");
         // What was laid beside it is not again.
         assert!(searcher.twins(measured, &[pair.clone(), twin.clone()], &base).is_empty());
+    }
+
+    #[test]
+    fn an_effect_that_does_better_without_what_it_contains_stands_so_where_it_was_tried_alone() {
+        let mut truth = b1_g2();
+        truth.effects.push(effect("stribeck-friction", &[("fc_n", 20.0), ("fs_n", 40.0), ("vs_m_s", 0.02)]));
+        let motion = Motion::of(&seen(&truth, 43), 500.0, Tolerances::default()).expect("a motion");
+        let searcher = Searcher::new(&motion, &b1_g2(), Effort::default());
+        let base = searcher.base(&b1_g2()).expect("fits");
+        let coulomb = effect("coulomb-friction", &[("fc_n", 20.0)]);
+        let stribeck = effect("stribeck-friction", &[("fc_n", 15.0), ("fs_n", 20.0), ("vs_m_s", 0.05)]);
+        let short = |start: &EffectSpec, iterations: usize| {
+            with(
+                &searcher,
+                &base,
+                std::slice::from_ref(start),
+                Settings { iterations, ..Settings::default() },
+            )
+        };
+        let finalists = vec![short(&coulomb, 20), short(&stribeck, 1)];
+        let first = Stage { finalists, ..Stage::default() };
+        let mut search = Search { base: base.clone(), stages: vec![first] };
+        // Beside the other the fit finds where it is.
+        let near = effect("stribeck-friction", &[("fc_n", 18.0), ("fs_n", 37.0), ("vs_m_s", 0.019)]);
+        let faint = effect("coulomb-friction", &[("fc_n", 1.0)]);
+        let pair = with(&searcher, &base, &[faint, near], Settings::default());
+        let mut second = Stage { finalists: vec![pair], ..Stage::default() };
+        searcher.merge(&mut second, &mut search);
+        let [alone] = second.finalists.as_slice() else { panic!("one was there") };
+        assert_eq!(alone.names, ["stribeck-friction"]);
+        let [best, other] = search.stages[0].finalists.as_slice() else { panic!("two were there") };
+        assert_eq!((&best.names, verdict::last_name(other).as_str()), (&alone.names, "coulomb-friction"));
+        let totals = [best, alone].map(|trial| trial.response.as_ref().expect("judged").training.total());
+        assert_eq!(totals[0], totals[1]);
     }
 
     #[test]

@@ -60,14 +60,14 @@ const SIMULATED: usize = 3;
 const CLOSE: f64 = 50.0;
 
 /// What a search found at one stage: the best so far plus one more effect.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Stage {
     /// Fully fitted candidates, best held-out score first.
     pub finalists: Vec<Trial>,
     /// Names of those that did not pass the screening, with the share of the excess they left.
     pub screened: Vec<(String, f64)>,
     /// What the force sorted out, best first; nothing where it was not asked.
-    by_force: Vec<(&'static str, Refit)>,
+    pub(super) by_force: Vec<(&'static str, Refit)>,
 }
 
 /// A finished search.
@@ -425,7 +425,7 @@ impl<'a> Searcher<'a> {
                 stage.finalists.extend(self.stage(second).finalists);
                 best_first(&mut stage.finalists, &search.base);
             }
-            self.merge(&mut stage, &search.base);
+            self.merge(&mut stage, &mut search);
             let mut gained = brings(&stage);
             // What two bring together neither may bring alone: play where the force has an offset.
             if component
