@@ -53,7 +53,7 @@ pub(super) fn fuse(displacement: &[f64], sd: f64, acceleration: &[f64], sa: f64,
     let crossover = (sa.max(1e-300) / sd.max(1e-300)).sqrt();
     let low = |w: f64| 1.0 / (1.0 + (w / crossover).powi(4));
     let mut laser = Spectrum::of(displacement, rate);
-    let inertial = Spectrum::of(acceleration, rate)
+    let inertial = Spectrum::of_second_derivative(acceleration, rate)
         .multiply(|w| if w > 0.0 { Complex64::from(-(1.0 - low(w)) / (w * w)) } else { Complex64::ZERO });
     laser = laser.multiply(|w| Complex64::from(low(w))).add(&inertial);
     derivatives(&laser, |w| {
@@ -130,6 +130,21 @@ fn signal_end_rad_s(spectrum: &Spectrum, noise: f64) -> f64 {
 mod tests {
     use super::*;
     use std::f64::consts::TAU;
+
+    #[test]
+    fn a_motion_that_ends_anywhere_is_known_up_to_there() {
+        let (rate, w) = (2048.0, TAU * 1.3);
+        for turn in [0.3, 1.2, 2.5, 4.0] {
+            let n = 20_000 + (turn / w * rate) as usize;
+            let at = |i: usize, derivative: f64| (w * i as f64 / rate + derivative * 0.25 * TAU).sin();
+            let displacement: Vec<f64> = (0..n).map(|i| 0.01 * at(i, 0.0)).collect();
+            let acceleration: Vec<f64> = displacement.iter().map(|d| -w * w * d).collect();
+            let fused = fuse(&displacement, 30e-6, &acceleration, 0.01, rate);
+            let off = |i: &usize| (fused.velocity_m_s[*i] - 0.01 * w * at(*i, 1.0)).abs();
+            let most = (n - 1000..n).map(|i| off(&i)).fold(0.0, f64::max);
+            assert!(most < 1e-2 * 0.01 * w, "{turn}: {most}");
+        }
+    }
 
     #[test]
     fn an_acceleration_that_ends_anywhere_is_integrated_without_running_away() {

@@ -259,7 +259,8 @@ impl Motion {
 
     /// Accelerations average to the change of velocity over the duration: what a window shows
     /// beyond that is the zero of an accelerometer, a nuisance, and is taken out. The table comes
-    /// back to where it was in a whole cycle, so its mean is zero.
+    /// back to where it was in a whole cycle, so its mean is zero; a record without steps may end in motion, as one that was cut short does,
+    /// and its displacement then tells how fast, where it was measured.
     fn remove_acceleration_zeros(&mut self) {
         if self.kind != Kind::Base {
             return;
@@ -271,10 +272,14 @@ impl Motion {
                 / ((r.len() - 1).max(1) as f64 * dt);
             (-mean(&self.restoring_m_s2) - change, mean(&self.drive_m_s2))
         };
+        let known = self.table_crossover_rad_s > 0.0;
         // In a part of a record without steps the table need not come back; it does in the whole.
         let parts =
             self.windows.windows(2).any(|two| !two[1].settling && two[1].warm_from < two[0].range.end);
-        let whole = parts.then(|| zero(0..self.drive_m_s2.len()));
+        let whole = parts.then(|| {
+            let (mass, table) = zero(0..self.drive_m_s2.len());
+            if known { (mass - table, 0.0) } else { (mass, table) }
+        });
         let own = |window: &Window| whole.unwrap_or_else(|| zero(window.range.clone()));
         let zeros: Vec<(f64, f64)> = self.windows.iter().map(own).collect();
         // While it settles the table does not come back: zeros are as in the steady stretch before. A sample that several windows
@@ -328,9 +333,67 @@ pub(super) fn channel<'a>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnose::testing::seen;
     use crate::model;
-    use crate::model::testing::oscillator;
+    use crate::model::testing::{b1_g2, oscillator};
     use std::f64::consts::TAU;
+
+    #[test]
+    fn a_record_that_was_cut_short_in_motion_has_no_other_zeros_and_ends_as_it_went() {
+        use rand::{SeedableRng, prelude::Distribution};
+        let of = |record: &Record| Motion::of(record, 500.0, Tolerances::default()).expect("a motion");
+        let mut whole = seen(&b1_g2(), 44);
+        // The table's displacement, a sine in each step.
+        let mut random = rand_pcg::Pcg64::seed_from_u64(45);
+        let hiss = rand_distr::Normal::new(0.0, 1e-5).expect("valid");
+        for (step, range) in whole.step_ranges() {
+            let w = TAU * (0.5 + 0.3 * f64::from(step.min(13 - step)));
+            let first = range.start;
+            let wave = |n: usize| (w * (n - first) as f64 / whole.sample_rate_hz).sin_cos();
+            let (mut sin, mut cos) = (0.0, 0.0);
+            for n in range.clone() {
+                let (s, c) = wave(n);
+                let share = 2.0 * whole.table_acceleration_m_s2[n] / range.len() as f64;
+                (sin, cos) = (sin + share * s, cos + share * c);
+            }
+            for n in range {
+                let (s, c) = wave(n);
+                whole.table_displacement_m[n] = -(sin * s + cos * c) / (w * w) + hiss.sample(&mut random);
+            }
+        }
+        let known = of(&whole);
+        assert!(known.table_crossover_rad_s > 0.0, "the displacement tells what is slow");
+        let third = whole.step_ranges()[2].1.clone();
+        for share in [0.35, 0.6, 0.77] {
+            let mut cut = whole.clone();
+            let end = third.start + (share * third.len() as f64) as usize;
+            for channel in [
+                &mut cut.time_s,
+                &mut cut.table_displacement_m,
+                &mut cut.table_acceleration_m_s2,
+                &mut cut.mass_acceleration_1_m_s2,
+                &mut cut.mass_acceleration_2_m_s2,
+                &mut cut.relative_displacement_m,
+            ] {
+                channel.truncate(end);
+            }
+            cut.step.truncate(end);
+            let motion = of(&cut);
+            assert!(motion.windows.iter().any(|window| window.random), "too few steps are left");
+            let last_second = (end - motion.sample_rate_hz as usize)..end;
+            let apart =
+                |a: &[f64], b: &[f64]| last_second.clone().map(|n| (a[n] - b[n]).abs()).fold(0.0, f64::max);
+            let velocity = apart(&motion.velocity_m_s, &known.velocity_m_s);
+            assert!(velocity < 2e-3 && known.rms(&known.velocity_m_s) > 0.05, "{share}: {velocity}");
+            // Where the whole record has a steady step its zeros are known.
+            let steady = known.windows[0].range.clone();
+            let mean = |motion: &Motion| {
+                motion.restoring_m_s2[steady.clone()].iter().sum::<f64>() / steady.len() as f64
+            };
+            let zero = mean(&motion) - mean(&known);
+            assert!(zero.abs() < 5e-4, "{share}: {zero}");
+        }
+    }
 
     #[test]
     fn what_is_sampled_seldom_drives_a_mass_as_far_as_it_was_driven() {

@@ -52,14 +52,22 @@ impl Spectrum {
     /// Spectrum of a channel sampled at `sample_rate_hz`, extended at both ends by up to two
     /// seconds of odd reflection. All channels of one length give bins of the same frequencies.
     pub fn of(channel: &[f64], sample_rate_hz: f64) -> Self {
+        let ends = channel.first().zip(channel.last()).map_or((0.0, 0.0), |(first, last)| (*first, *last));
+        Self::reflected(channel, sample_rate_hz, ends)
+    }
+
+    /// The same of the second derivative of such a channel, reflected about zero: what a channel that is reflected about where it ends
+    /// has for one. Both, put together, have no errors of their own where a record ends in motion.
+    pub fn of_second_derivative(channel: &[f64], sample_rate_hz: f64) -> Self {
+        Self::reflected(channel, sample_rate_hz, (0.0, 0.0))
+    }
+
+    /// Spectrum of a channel that is reflected about so much at its beginning and its end.
+    fn reflected(channel: &[f64], sample_rate_hz: f64, (first, last): (f64, f64)) -> Self {
         let samples = channel.len();
         let padding = ((2.0 * sample_rate_hz) as usize).min(samples.saturating_sub(1));
         let length = fast_length(samples + 2 * padding + padding / 4);
         let mut extended = Vec::with_capacity(length);
-        let (first, last) = match (channel.first(), channel.last()) {
-            (Some(first), Some(last)) => (*first, *last),
-            _ => (0.0, 0.0),
-        };
         extended.extend((1..=padding).rev().map(|i| 2.0 * first - channel[i]));
         extended.extend_from_slice(channel);
         extended.extend((1..=padding).map(|i| 2.0 * last - channel[samples - 1 - i]));

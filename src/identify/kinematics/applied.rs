@@ -26,7 +26,8 @@ pub(super) fn examine(record: &Record, tolerances: Tolerances) -> Option<Instrum
     }
     let [laser_noise_m, noise_m_s2] = [displacement, acceleration].map(|x| noise_of_sensor(x, rate));
     let band = Band::of(&Spectrum::tapered(displacement, rate), laser_noise_m, noise_m_s2)?;
-    let [laser, mass] = [displacement, acceleration].map(|x| Spectrum::of(x, rate));
+    let [laser, mass] =
+        [Spectrum::of(displacement, rate), Spectrum::of_second_derivative(acceleration, rate)];
     let d = band.series(&laser, |_| Complex64::ONE);
     let mut late_s = 0.0;
     let (mut last, mut step_s) = (None, f64::INFINITY);

@@ -178,7 +178,9 @@ fn on_a_base(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
     ];
     let seen = parallel::map(&channels, parallel::cores(), |channel| {
         let tapered = Spectrum::tapered(channel, rate);
-        (Spectrum::of(channel, rate), noise_of_whole(channel, &tapered), tapered)
+        let is_laser = std::ptr::eq(*channel, channels[0]);
+        let of = if is_laser { Spectrum::of } else { Spectrum::of_second_derivative };
+        (of(channel, rate), noise_of_whole(channel, &tapered), tapered)
     });
     let [(laser, laser_noise_m, tapered_laser), (table, table_noise_m_s2, _), one, two] =
         seen.try_into().ok()?;
