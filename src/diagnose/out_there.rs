@@ -11,8 +11,8 @@ use crate::record::Record;
 
 const SETTINGS: Settings = Settings { iterations: 30, ..FURTHER_ON };
 
-/// A fitted explanation of a record and its motion with those of its numbers that the steady steps leave as they were given fitted to the cycles in which the mass
-/// goes farther, from where they are and from where the force along the motion puts them; everything else moves within what the steady
+/// A fitted explanation of a record and its motion with those of its numbers that the steady steps leave as they were given fitted to
+/// the cycles in which the mass goes farther, from where they are and from where the force along the motion puts them; everything else moves within what the steady
 /// steps told, and stays as they told it. As it is where there are no such numbers or no such cycles.
 pub fn out_there(record: &Record, motion: &Motion, nominal: &ModelSpec, trial: Trial) -> Trial {
     farther(record, motion, nominal, &trial).unwrap_or(trial)

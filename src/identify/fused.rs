@@ -138,7 +138,8 @@ mod tests {
             let n = 20_000 + (turn / w * rate) as usize;
             let at = |i: usize, derivative: f64| (w * i as f64 / rate + derivative * 0.25 * TAU).sin();
             let displacement: Vec<f64> = (0..n).map(|i| 0.01 * at(i, 0.0)).collect();
-            let acceleration: Vec<f64> = displacement.iter().map(|d| -w * w * d).collect();
+            // The accelerometer has a zero of its own.
+            let acceleration: Vec<f64> = displacement.iter().map(|d| 2.0 - w * w * d).collect();
             let fused = fuse(&displacement, 30e-6, &acceleration, 0.01, rate);
             let off = |i: &usize| (fused.velocity_m_s[*i] - 0.01 * w * at(*i, 1.0)).abs();
             let most = (n - 1000..n).map(|i| off(&i)).fold(0.0, f64::max);

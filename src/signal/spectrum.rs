@@ -57,9 +57,11 @@ impl Spectrum {
     }
 
     /// The same of the second derivative of such a channel, reflected about zero: what a channel that is reflected about where it ends
-    /// has for one. Both, put together, have no errors of their own where a record ends in motion.
+    /// has for one. Both, put together, have no errors of their own where a record ends in motion. The zero is the mean: a sensor may have
+    /// its own, and what moves to and fro has next to none.
     pub fn of_second_derivative(channel: &[f64], sample_rate_hz: f64) -> Self {
-        Self::reflected(channel, sample_rate_hz, (0.0, 0.0))
+        let mean = channel.iter().sum::<f64>() / channel.len().max(1) as f64;
+        Self::reflected(channel, sample_rate_hz, (mean, mean))
     }
 
     /// Spectrum of a channel that is reflected about so much at its beginning and its end.

@@ -41,8 +41,8 @@ pub struct Profile {
 
 impl Measured<'_> {
     /// Profiles the likelihood along the numbers of the effects, and those of the model's own that the record tells (Venzon and
-    /// Moolgavkar 1988), `colour` residuals counting as one independent one. Every other number may at least be where it was fitted beside their
-    /// limits.
+    /// Moolgavkar 1988), `colour` residuals counting as one independent one. Every other number may at least be where it was fitted beside
+    /// their limits.
     pub fn profile(&self, spec: &ModelSpec, numbers: &Numbers, laid: &Laid, colour: f64) -> Profile {
         let covariance = self.covariance(numbers, laid, colour);
         let sigma = |j: usize| covariance[(j, j)].max(0.0).sqrt();
