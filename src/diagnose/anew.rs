@@ -236,7 +236,7 @@ mod tests {
     fn a_model_that_tells_jumps_otherwise_is_fitted_again_with_those() {
         let mut truth = b1_g2();
         truth.effects.push(effect("hertz-contact", &[("kh", 1.2e5), ("n", 1.3)]));
-        let motion = Motion::of(&seen(&truth, 25), 500.0, Tolerances::default()).expect("a motion");
+        let motion = Motion::of(&seen(&truth, 26), 500.0, Tolerances::default()).expect("a motion");
         let searcher = Searcher::new(&motion, &b1_g2(), Effort::default());
         let base = searcher.base(&b1_g2()).expect("fits");
         let trial = with(&searcher, &base, &truth.effects, Settings::default());
