@@ -20,6 +20,9 @@ const WIDE: [f64; 2] = [1.0, 2.0];
 const WIDEST: f64 = 0.2;
 /// A change by so many times what is usual in a step is a jump that went over a sample, if it is one at all.
 const UNUSUAL: f64 = 6.0;
+/// So many samples from a jump that is spread over those beside it nothing of it is left; times what changes there that a jump does.
+const BESIDE: usize = 4;
+const ALONE: f64 = 2.0;
 
 impl Measured<'_> {
     /// Slopes of a step's residuals along the values that move and along its nuisances.
@@ -45,7 +48,13 @@ impl Measured<'_> {
             let change = |i: usize| step.simulated[i].0 - simulated[i].0;
             let square: f64 = (0..n).filter(|i| counts(*i)).map(|i| (sa * change(i)).powi(2)).sum();
             let most = OVER.max(UNUSUAL * (square / n as f64).sqrt()) / sa;
-            let small = |i: usize| if counts(i) && change(i).abs() < most { change(i) / h } else { 0.0 };
+            // A contact changes that much as a whole, a jump a few samples.
+            let beside = |i: usize| {
+                let before = i.checked_sub(BESIDE).map_or(0.0, |i| change(i).abs());
+                before.max(if i + BESIDE < n { change(i + BESIDE).abs() } else { 0.0 })
+            };
+            let goes_over = |i: usize| change(i).abs() > most && change(i).abs() > ALONE * beside(i);
+            let small = |i: usize| if counts(i) && !goes_over(i) { change(i) / h } else { 0.0 };
             column(&small, &|i| (step.simulated[i].1 - simulated[i].1) / h)
         };
         let mut along = Vec::with_capacity(job.moved.len() + COMMON * self.records());

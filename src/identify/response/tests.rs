@@ -4,7 +4,7 @@ use crate::diagnose::testing::seen;
 use crate::identify::kinematics::Tolerances;
 use crate::identify::least_squares::Settings;
 use crate::model::testing::{b1_g2, effect};
-use crate::model::{self, effects};
+use crate::model::{self, BumperSpec, effects};
 use crate::record::Record;
 use rand::{SeedableRng, prelude::Distribution};
 use std::f64::consts::TAU;
@@ -361,6 +361,26 @@ fn a_fit_with_the_general_solver_mostly_ends_in_the_same_place_from_wherever_it_
     let mut worst: Vec<f64> = (16..24).map(apart).collect();
     worst.sort_by(f64::total_cmp);
     assert!(worst[5] < 0.2, "deviations apart: {worst:?}");
+}
+
+#[test]
+fn what_changes_a_short_contact_as_a_whole_is_a_slope() {
+    let mut truth = off();
+    truth.bumper = Some(BumperSpec { stiffness_n_m: 650e3, damping_n_s_m: 1400.0, total_gap_m: 0.03 });
+    truth.effects.push(effect("quadratic-damping", &[("c2_n_s2_m2", 300.0)]));
+    let motion = Motion::of(&seen(&truth, 26), 500.0, Tolerances::default()).expect("a motion");
+    let measured = Measured::new(&motion).expect("a base record");
+    let mut numbers = Numbers::of_base(&truth, Kind::Base);
+    numbers.add_effect(&truth, 0, &candidates::scales(&truth, &motion));
+    numbers.start_from(&truth);
+    let settings = Settings { iterations: 30, ..Settings::default() };
+    let fit = || measured.fit(&truth, &numbers, 0.0, None, settings).expect("fits");
+    let laid = fit();
+    let held_out = measured.judge(&truth, &numbers, &laid).expect("finite");
+    measured.learn_jumps(&truth, [(Part::Training, &laid), (Part::HeldOut, &held_out)]);
+    let arrived = fit();
+    // Where contacts pass for jumps that go over a sample, it promises 1.3 and comes no farther.
+    assert!(arrived.promised() < 0.1, "{}", arrived.promised());
 }
 
 /// A mass between damped bumpers, driven by waves of force and seen by its acceleration alone.
