@@ -272,12 +272,12 @@ impl Motion {
                 / ((r.len() - 1).max(1) as f64 * dt);
             (-mean(&self.restoring_m_s2) - change, mean(&self.drive_m_s2))
         };
-        let known = self.table_crossover_rad_s > 0.0;
         // In a part of a record without steps the table need not come back; it does in the whole.
         let parts =
             self.windows.windows(2).any(|two| !two[1].settling && two[1].warm_from < two[0].range.end);
         let whole = parts.then(|| {
             let (mass, table) = zero(0..self.drive_m_s2.len());
+            let known = self.table_crossover_rad_s > 0.0;
             if known { (mass - table, 0.0) } else { (mass, table) }
         });
         let own = |window: &Window| whole.unwrap_or_else(|| zero(window.range.clone()));
@@ -367,17 +367,7 @@ mod tests {
         for share in [0.35, 0.6, 0.77] {
             let mut cut = whole.clone();
             let end = third.start + (share * third.len() as f64) as usize;
-            for channel in [
-                &mut cut.time_s,
-                &mut cut.table_displacement_m,
-                &mut cut.table_acceleration_m_s2,
-                &mut cut.mass_acceleration_1_m_s2,
-                &mut cut.mass_acceleration_2_m_s2,
-                &mut cut.relative_displacement_m,
-            ] {
-                channel.truncate(end);
-            }
-            cut.step.truncate(end);
+            cut.truncate(end);
             let motion = of(&cut);
             assert!(motion.windows.iter().any(|window| window.random), "too few steps are left");
             let last_second = (end - motion.sample_rate_hz as usize)..end;

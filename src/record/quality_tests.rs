@@ -151,12 +151,7 @@ fn saturated_constant_and_stuck_channels_are_named() {
 #[test]
 fn short_and_unsteady_records_are_named() {
     let mut record = oscillator(0.03, 1.0, 0.003, 6);
-    for role in Role::ALL {
-        if let Some(channel) = record.channel_mut(role) {
-            channel.truncate(700);
-        }
-    }
-    record.step.truncate(700);
+    record.truncate(700);
     assert_eq!(named(&record), [(Problem::TooShort, None)]);
 
     // Undamped growth over all of a single step.
@@ -249,8 +244,6 @@ fn what_is_struck_or_let_go_swings_long_after() {
     silent.force_n.fill(0.0);
     assert!(examine(&silent).iter().any(|f| f.severity == Severity::Error));
     let mut short = swinging(0.0, blow);
-    short.time_s.truncate(200);
-    short.displacement_m.truncate(200);
-    short.force_n.truncate(200);
+    short.truncate(200);
     assert_eq!(named(&short), [(Problem::TooShort, None)]);
 }

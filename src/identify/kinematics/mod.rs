@@ -170,16 +170,16 @@ fn on_a_base(record: &Record, tolerances: Tolerances) -> Option<Instruments> {
     if n < 64 || record.table_acceleration_m_s2.len() != n || record.mass_acceleration_1_m_s2.len() != n {
         return None;
     }
-    let channels = [
-        &record.relative_displacement_m,
-        &record.table_acceleration_m_s2,
-        &record.mass_acceleration_1_m_s2,
-        second,
+    // Each with how it goes on beyond its ends.
+    type Whole = fn(&[f64], f64) -> Spectrum;
+    let channels: [(&Vec<f64>, Whole); 4] = [
+        (&record.relative_displacement_m, Spectrum::of),
+        (&record.table_acceleration_m_s2, Spectrum::of_second_derivative),
+        (&record.mass_acceleration_1_m_s2, Spectrum::of_second_derivative),
+        (second, Spectrum::of_second_derivative),
     ];
-    let seen = parallel::map(&channels, parallel::cores(), |channel| {
+    let seen = parallel::map(&channels, parallel::cores(), |(channel, of)| {
         let tapered = Spectrum::tapered(channel, rate);
-        let is_laser = std::ptr::eq(*channel, channels[0]);
-        let of = if is_laser { Spectrum::of } else { Spectrum::of_second_derivative };
         (of(channel, rate), noise_of_whole(channel, &tapered), tapered)
     });
     let [(laser, laser_noise_m, tapered_laser), (table, table_noise_m_s2, _), one, two] =

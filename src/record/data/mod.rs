@@ -402,6 +402,16 @@ impl Record {
         self.time_s.is_empty()
     }
 
+    /// Cuts every channel off after so many samples, as where a run was stopped.
+    pub fn truncate(&mut self, samples: usize) {
+        for role in Role::ALL {
+            if let Some(channel) = self.channel_mut(role) {
+                channel.truncate(samples);
+            }
+        }
+        self.step.truncate(samples);
+    }
+
     /// Stretches of equal, non-negative step index: (index, samples).
     pub fn step_ranges(&self) -> Vec<(i32, std::ops::Range<usize>)> {
         let mut first = 0;
