@@ -96,10 +96,19 @@ impl Default for Thresholds {
     }
 }
 
+/// Nats that the best of many shapes brings more than a rival from the catalogue does.
+const OF_MANY: f64 = 4.0;
+
 impl Thresholds {
     /// What a shape has to bring beside a trial.
     pub fn of_shape(&self, taken: &Trial) -> f64 {
         self.shape[usize::from(!taken.names.is_empty())]
+    }
+
+    /// Nats by which one in place of what was taken does better, from which on that is it: it is the best of many, as two effects
+    /// together are.
+    fn of_shape_instead(&self, taken: &Trial) -> f64 {
+        self.tie + if taken.names.len() > 1 { 0.0 } else { OF_MANY }
     }
 
     /// Error over the noise's that a complete explanation has at most. The noise of another rig's sensors is told from the record,
@@ -268,9 +277,6 @@ pub fn decide(search: &Search, searcher: &Searcher<'_>, thresholds: Thresholds) 
     Decision { verdict, chosen: taken, ambiguous_with, probabilities, refused, left }
 }
 
-/// A shape has to do better than what was taken by so much more than a rival from the catalogue: it is the best of many.
-const OF_MANY: f64 = 4.0;
-
 /// The verdict where the simulated response decides.
 fn by_response(
     taken: &Trial,
@@ -288,7 +294,7 @@ fn by_response(
     // Shapes are asked only where the residuals themselves do not tell.
     let told_by_shape = || {
         let shaped = searcher.shaped(base, taken, thresholds);
-        shaped.beside > thresholds.of_shape(taken) || shaped.instead > thresholds.tie + OF_MANY
+        shaped.beside > thresholds.of_shape(taken) || shaped.instead > thresholds.of_shape_instead(taken)
     };
     // No mass on another rig moves as a few lines of a model say to within the noise of a good sensor: what explains nearly all there
     // stands, and what is left is shown.
