@@ -23,6 +23,8 @@ const STEADY: f64 = 0.02;
 /// How much farther than in any steady stretch the mass goes elsewhere when that is looked at, too; cycles before and after.
 const FARTHER: f64 = 1.02;
 const AROUND: (f64, f64) = (1.0, 2.0);
+/// How much farther than in every other step the mass goes in one that the fit is to see.
+const BY_FAR: f64 = 1.1;
 
 /// Steady stretches: the later part of each step in whole cycles, or the record in equal parts; and where the mass goes farthest, if asked.
 pub(super) fn cut(record: &Record, motion: &Motion, with_farthest: bool) -> Vec<Window> {
@@ -53,16 +55,27 @@ pub(super) fn cut(record: &Record, motion: &Motion, with_farthest: bool) -> Vec<
     let settles = with_farthest && record.step.len() == n && motion.kind == Kind::Base;
     let farthest = if settles { farthest(record, motion, &windows) } else { None };
     let last = windows.len().saturating_sub(1);
-    // Nor that of a record without steps in which the mass goes farthest.
+    // Nor the one in which the mass goes farthest, of steps by far: there may be a contact that no other one has.
     let top = |window: &Window| {
         motion.displacement_m[window.range.clone()].iter().fold(0.0_f64, |top, d| top.max(d.abs()))
     };
-    let outermost = (0..windows.len())
-        .filter(|i| windows[*i].random)
-        .max_by(|a, b| top(&windows[*a]).total_cmp(&top(&windows[*b])));
+    let mut by_top: Vec<(f64, usize)> = windows.iter().map(top).zip(0..).collect();
+    by_top.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let alone = |two: &[(f64, usize)]| windows[two[0].1].random || two[0].0 > BY_FAR * two[1].0;
+    let outermost = by_top.windows(2).next().filter(|two| alone(two)).map(|two| two[0].1);
     for (i, window) in windows.iter_mut().enumerate() {
-        let seen = farthest.as_ref().is_some_and(|farthest| farthest.step == window.step);
-        window.held_out = i % 3 == 1 && i != last && !seen && outermost != Some(i);
+        window.held_out = i % 3 == 1 && i != last;
+    }
+    // The one beside it judges in its place.
+    if let Some(i) = outermost.filter(|i| std::mem::take(&mut windows[*i].held_out)) {
+        let beside = if i + 1 < last { i + 1 } else { i - 1 };
+        windows[beside].held_out = beside > 0;
+    }
+    if let Some(farthest) = &farthest {
+        windows
+            .iter_mut()
+            .filter(|window| window.step == farthest.step)
+            .for_each(|window| window.held_out = false);
     }
     windows.extend(farthest);
     windows.sort_by_key(|window| window.range.start);
@@ -212,6 +225,22 @@ mod tests {
         assert_eq!(largest(&motion, window.range.clone()), between);
         assert!(motion.windows.iter().all(|w| w.step != window.step || !w.held_out));
         assert!(motion.windows.windows(2).all(|two| two[0].range.end <= two[1].range.start));
+    }
+
+    #[test]
+    fn the_fit_sees_the_step_in_which_the_mass_goes_farthest_by_far() {
+        let whole = seen(&b1_g2(), 1);
+        // One of four steps judges: the second, unless the fit would have to extrapolate to it.
+        let held_out = |four: [i32; 4]| {
+            let mut record = whole.clone();
+            record.step.iter_mut().filter(|step| !four.contains(*step)).for_each(|step| *step = -1);
+            let motion = Motion::of(&record, 500.0, Tolerances::default()).expect("sound");
+            let top = |i: usize| largest(&motion, motion.windows[i].range.clone());
+            let by_far = top(1) > 1.1 * top(0).max(top(2)).max(top(3));
+            (by_far, motion.windows.iter().map(|w| w.held_out).collect::<Vec<bool>>())
+        };
+        assert_eq!(held_out([0, 1, 2, 3]), (false, vec![false, true, false, false]));
+        assert_eq!(held_out([0, 3, 12, 13]), (true, vec![false, false, true, false]));
     }
 
     #[test]
