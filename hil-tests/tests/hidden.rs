@@ -72,16 +72,17 @@ fn what_others_hide_is_tried() {
     // the accelerometers at a frequency that their mean has nothing of.
     // A stand under soft bumpers rings at 8 Hz; a preload brings 80 nats, of which noise takes three on the held-out steps; a knee that
     // went to 5 mm, although 8 are given, hides that the isolator softens.
-    for (seed, name, size) in [
-        (10_091_004, "coulomb-friction", 0.05),
-        (10_086_093, "yaw-rotation", 0.05),
-        (10_097_509, "stand-compliance", 0.05),
-        (10_097_309, "bumper-preload", 0.02),
-        (10_099_037, "cubic-stiffness", 0.05),
+    // Of the friction, three of those come within 6 nats once their fits arrive.
+    for (seed, name, size, verdict) in [
+        (10_091_004, "coulomb-friction", 0.05, Verdict::Ambiguous),
+        (10_086_093, "yaw-rotation", 0.05, Verdict::Missing),
+        (10_097_509, "stand-compliance", 0.05, Verdict::Missing),
+        (10_097_309, "bumper-preload", 0.02, Verdict::Missing),
+        (10_099_037, "cubic-stiffness", 0.05, Verdict::Missing),
     ] {
         let found = case(seed, &[name], size);
         let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
-        assert_eq!((found.verdict, named), (Verdict::Missing, vec![name]), "seed {seed}");
+        assert_eq!((found.verdict, named), (verdict, vec![name]), "seed {seed}");
     }
 }
 
