@@ -20,7 +20,7 @@ const WIDE: [f64; 2] = [1.0, 2.0];
 const WIDEST: f64 = 0.2;
 /// A change by so many times what is usual in a step is a jump that went over a sample, if it is one at all.
 const UNUSUAL: f64 = 6.0;
-/// So many samples from a jump nothing of it is left; times what changes there that a jump does.
+/// So many samples from a jump that is spread over those beside it nothing of it is left; times what changes there that a jump does.
 const BESIDE: usize = 4;
 const ALONE: f64 = 2.0;
 
@@ -44,19 +44,17 @@ impl Measured<'_> {
         };
         let counted = self.counts();
         let counts = |i: usize| counted[window.range.start + i];
-        // Where jumps are not spread, they go over from sample to sample.
-        let go_over = self.coarse || job.own.kicks;
         let changed = |simulated: &Simulated, h: f64| {
             let change = |i: usize| step.simulated[i].0 - simulated[i].0;
             let square: f64 = (0..n).filter(|i| counts(*i)).map(|i| (sa * change(i)).powi(2)).sum();
             let most = OVER.max(UNUSUAL * (square / n as f64).sqrt()) / sa;
-            // A contact changes that much as a whole, a jump a sample or two.
+            // A contact changes that much as a whole, a jump a few samples; over those, slopes lead a fit from far off astray.
             let beside = |i: usize| {
                 let before = i.checked_sub(BESIDE).map_or(0.0, |i| change(i).abs());
                 before.max(if i + BESIDE < n { change(i + BESIDE).abs() } else { 0.0 })
             };
-            let is_jump = |i: usize| go_over && change(i).abs() > most && change(i).abs() > ALONE * beside(i);
-            let small = |i: usize| if counts(i) && !is_jump(i) { change(i) / h } else { 0.0 };
+            let goes_over = |i: usize| change(i).abs() > most && change(i).abs() > ALONE * beside(i);
+            let small = |i: usize| if counts(i) && !goes_over(i) { change(i) / h } else { 0.0 };
             column(&small, &|i| (step.simulated[i].1 - simulated[i].1) / h)
         };
         let mut along = Vec::with_capacity(job.moved.len() + COMMON * self.records());
