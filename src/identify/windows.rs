@@ -9,6 +9,8 @@ use std::ops::Range;
 
 /// Steady steps below which a record is cut into equal parts.
 const FEWEST_STEPS: usize = 4;
+/// So many parts of the steps of such a record are enough without those between its steps.
+const ENOUGH_PARTS: usize = 12;
 /// Cycles of a step that count, and that warm it up.
 const COUNTED: f64 = 4.0;
 const WARM: f64 = 3.0;
@@ -49,6 +51,14 @@ pub(super) fn cut(record: &Record, motion: &Motion, with_farthest: bool) -> Vec<
     // A few long stretches leave none to judge by: they are cut into parts instead.
     if windows.len() < FEWEST_STEPS {
         windows = equal_parts(n, motion);
+        // Those between steps, where the table changes its frequency or begins to move, can be done without.
+        if record.step.len() == n {
+            let within = |window: &Window| record.step[window.range.clone()].iter().all(|step| *step >= 0);
+            let kept: Vec<Window> = windows.iter().filter(|window| within(window)).cloned().collect();
+            if kept.len() >= ENOUGH_PARTS {
+                windows = kept;
+            }
+        }
     }
     // Every third stretch judges, but not one of which the fit sees how it settles; the first and last serve the fit, so that it need
     // not extrapolate.
@@ -205,8 +215,9 @@ fn main_frequency_hz(channel: &[f64], rate: f64) -> Option<f64> {
 mod tests {
     use crate::diagnose::testing::seen;
     use crate::identify::kinematics::Tolerances;
-    use crate::identify::motion::Motion;
+    use crate::identify::motion::{Motion, Window};
     use crate::model::testing::b1_g2;
+    use crate::record::Record;
 
     fn largest(motion: &Motion, range: std::ops::Range<usize>) -> f64 {
         motion.displacement_m[range].iter().fold(0.0_f64, |top, d| top.max(d.abs()))
@@ -241,6 +252,28 @@ mod tests {
         };
         assert_eq!(held_out([0, 1, 2, 3]), (false, vec![false, true, false, false]));
         assert_eq!(held_out([0, 3, 12, 13]), (true, vec![false, false, true, false]));
+    }
+
+    #[test]
+    fn of_few_steps_what_lies_between_them_is_done_without() {
+        let mut record = seen(&b1_g2(), 1);
+        let ranges = record.step_ranges();
+        let between = ranges[1].1.start..ranges[1].1.start + 3000;
+        record.step[between.clone()].fill(-1);
+        let parts = |record: &Record, end: usize| {
+            let mut cut = record.clone();
+            cut.truncate(end);
+            let motion = Motion::of(&cut, 500.0, Tolerances::default()).expect("sound");
+            assert!(motion.windows.iter().all(|w| w.random), "too few steps are left");
+            let apart = |w: &&Window| w.range.end <= between.start || between.end <= w.range.start;
+            (motion.windows.iter().filter(apart).count(), motion.windows.len())
+        };
+        let (apart, all) = parts(&record, ranges[2].1.end);
+        assert!(apart == all && all > 20, "{apart} of {all}");
+        // Where little else is there, it serves all the same.
+        record.step[..ranges[1].1.start].fill(-1);
+        let (apart, all) = parts(&record, between.end + 3000);
+        assert!(apart < all, "{apart} of {all}");
     }
 
     #[test]
