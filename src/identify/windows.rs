@@ -52,7 +52,7 @@ pub(super) fn cut(record: &Record, motion: &Motion, with_farthest: bool) -> Vec<
     if windows.len() < FEWEST_STEPS {
         windows = equal_parts(n, motion);
         // Those between steps, where the table changes its frequency or begins to move, can be done without.
-        if record.step.len() == n {
+        if record.step.len() == n && motion.kind == Kind::Base {
             let within = |window: &Window| record.step[window.range.clone()].iter().all(|step| *step >= 0);
             let kept: Vec<Window> = windows.iter().filter(|window| within(window)).cloned().collect();
             if kept.len() >= ENOUGH_PARTS {
