@@ -33,20 +33,8 @@ pub(super) fn cut(record: &Record, motion: &Motion, with_farthest: bool) -> Vec<
     let n = motion.displacement_m.len();
     let mut windows = Vec::new();
     if record.step.len() == n {
-        let mut start = 0;
-        while start < n {
-            let step = record.step[start];
-            let mut end = start + 1;
-            while end < n && record.step[end] == step {
-                end += 1;
-            }
-            if step >= 0
-                && let Some(window) = steady(step, start..end, motion)
-            {
-                windows.push(window);
-            }
-            start = end;
-        }
+        let of_step = |(step, range)| steady(step, range, motion);
+        windows = record.step_ranges().into_iter().filter_map(of_step).collect();
     }
     // A few long stretches leave none to judge by: they are cut into parts instead.
     if windows.len() < FEWEST_STEPS {
@@ -54,9 +42,8 @@ pub(super) fn cut(record: &Record, motion: &Motion, with_farthest: bool) -> Vec<
         // Those between steps, where the table changes its frequency or begins to move, can be done without.
         if record.step.len() == n && motion.kind == Kind::Base {
             let within = |window: &Window| record.step[window.range.clone()].iter().all(|step| *step >= 0);
-            let kept: Vec<Window> = windows.iter().filter(|window| within(window)).cloned().collect();
-            if kept.len() >= ENOUGH_PARTS {
-                windows = kept;
+            if windows.iter().filter(|window| within(window)).count() >= ENOUGH_PARTS {
+                windows.retain(within);
             }
         }
     }
@@ -66,10 +53,8 @@ pub(super) fn cut(record: &Record, motion: &Motion, with_farthest: bool) -> Vec<
     let farthest = if settles { farthest(record, motion, &windows) } else { None };
     let last = windows.len().saturating_sub(1);
     // Nor the one in which the mass goes farthest, of steps by far: there may be a contact that no other one has.
-    let top = |window: &Window| {
-        motion.displacement_m[window.range.clone()].iter().fold(0.0_f64, |top, d| top.max(d.abs()))
-    };
-    let mut by_top: Vec<(f64, usize)> = windows.iter().map(top).zip(0..).collect();
+    let mut by_top: Vec<(f64, usize)> =
+        windows.iter().map(|window| largest_m(motion, &window.range)).zip(0..).collect();
     by_top.sort_by(|a, b| b.0.total_cmp(&a.0));
     let alone = |two: &[(f64, usize)]| windows[two[0].1].random || two[0].0 > BY_FAR * two[1].0;
     let outermost = by_top.windows(2).next().filter(|two| alone(two)).map(|two| two[0].1);
@@ -92,13 +77,17 @@ pub(super) fn cut(record: &Record, motion: &Motion, with_farthest: bool) -> Vec<
     windows
 }
 
+/// Largest displacement of the mass in so many samples, m.
+fn largest_m(motion: &Motion, samples: &Range<usize>) -> f64 {
+    motion.displacement_m[samples.clone()].iter().fold(0.0_f64, |top, d| top.max(d.abs()))
+}
+
 /// The cycles in which the mass goes farther than in any steady stretch while it settles: nothing else tells of the isolator out there,
 /// and a model is driven there in every run.
 fn farthest(record: &Record, motion: &Motion, steady: &[Window]) -> Option<Window> {
     let far = |n: &usize| motion.displacement_m[*n].abs();
     let top = |range: Range<usize>| range.max_by(|a, b| far(a).total_cmp(&far(b)));
-    let largest = |window: &Window| top(window.range.clone()).map_or(0.0, |n| far(&n));
-    let reached = steady.iter().map(largest).fold(0.0, f64::max);
+    let reached = steady.iter().map(|window| largest_m(motion, &window.range)).fold(0.0, f64::max);
     let settling = steady.windows(2).filter_map(|two| {
         let n = top(two[0].range.end..two[1].range.start)?;
         Some((n, two))
@@ -213,15 +202,12 @@ fn main_frequency_hz(channel: &[f64], rate: f64) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
+    use super::largest_m;
     use crate::diagnose::testing::seen;
     use crate::identify::kinematics::Tolerances;
     use crate::identify::motion::{Motion, Window};
     use crate::model::testing::b1_g2;
     use crate::record::Record;
-
-    fn largest(motion: &Motion, range: std::ops::Range<usize>) -> f64 {
-        motion.displacement_m[range].iter().fold(0.0_f64, |top, d| top.max(d.abs()))
-    }
 
     #[test]
     fn the_farthest_excursion_is_looked_at_although_the_motion_only_settles_there() {
@@ -229,11 +215,11 @@ mod tests {
         let motion = Motion::of(&record, 500.0, Tolerances::default()).expect("sound").farthest(&record);
         let motion = motion.expect("sound");
         let (steady, settling): (Vec<_>, Vec<_>) = motion.windows.iter().partition(|w| !w.settling);
-        let reached = steady.iter().map(|w| largest(&motion, w.range.clone())).fold(0.0, f64::max);
-        let between = largest(&motion, steady[0].range.end..steady[steady.len() - 1].range.start);
+        let reached = steady.iter().map(|w| largest_m(&motion, &w.range)).fold(0.0, f64::max);
+        let between = largest_m(&motion, &(steady[0].range.end..steady[steady.len() - 1].range.start));
         assert!(between > 1.02 * reached, "the record overshoots: {between} m over {reached} m");
         let [window] = settling.as_slice() else { panic!("{settling:?}") };
-        assert_eq!(largest(&motion, window.range.clone()), between);
+        assert_eq!(largest_m(&motion, &window.range), between);
         assert!(motion.windows.iter().all(|w| w.step != window.step || !w.held_out));
         assert!(motion.windows.windows(2).all(|two| two[0].range.end <= two[1].range.start));
     }
@@ -246,7 +232,7 @@ mod tests {
             let mut record = whole.clone();
             record.step.iter_mut().filter(|step| !four.contains(*step)).for_each(|step| *step = -1);
             let motion = Motion::of(&record, 500.0, Tolerances::default()).expect("sound");
-            let top = |i: usize| largest(&motion, motion.windows[i].range.clone());
+            let top = |i: usize| largest_m(&motion, &motion.windows[i].range);
             let by_far = top(1) > 1.1 * top(0).max(top(2)).max(top(3));
             (by_far, motion.windows.iter().map(|w| w.held_out).collect::<Vec<bool>>())
         };
