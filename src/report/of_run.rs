@@ -1,6 +1,6 @@
 //! Fills the report of a run from its folder; `run`, `replay` and `recover` call it when a run is over.
 
-use super::run::{Peaks, RunReport, StepPoint, measured, modelled, peaks, peaks_table};
+use super::run::{Peaks, RunReport, StepPoint, measured, modelled, passes_resonance, peaks, peaks_table};
 use super::{ReportError, RunSeries, Table};
 use crate::config::Case;
 use crate::config::published::peaks_of;
@@ -79,15 +79,22 @@ pub fn published_model(setup: &Setup, case: &Case) -> Result<Vec<StepSummary>, S
     Ok(steps)
 }
 
-/// The final table of a run, and the published peaks that are drawn beside it.
+/// Number of steps of a whole sweep; 0 of one that is refused.
+fn planned_steps(setup: &Setup) -> usize {
+    setup.schedule().map_or(0, |schedule| schedule.steps().len())
+}
+
+/// The final table of a run, and the published peaks that are drawn beside it; the published model is laid beside a run that was
+/// stopped in the steps that were run.
 pub fn final_table(setup: &Setup, steps: &[StepSummary]) -> (Table, Vec<(String, Peaks)>) {
     let points: Vec<StepPoint> = steps.iter().map(StepPoint::from).collect();
     let mut published = Vec::new();
     let mut model = None;
     if let Some(case) = &setup.case {
         // A sweep that could be run can also be simulated; without it the row stays empty.
-        model = published_model(setup, case).ok().and_then(|steps| {
-            let points: Vec<StepPoint> = steps.iter().map(StepPoint::from).collect();
+        model = published_model(setup, case).ok().and_then(|all| {
+            let run = |step: &&StepSummary| steps.iter().any(|other| other.index == step.index);
+            let points: Vec<StepPoint> = all.iter().filter(run).map(StepPoint::from).collect();
             peaks(&points, measured)
         });
         if let Some(row) = peaks_of(case) {
@@ -104,7 +111,7 @@ pub fn final_table(setup: &Setup, steps: &[StepSummary]) -> (Table, Vec<(String,
         rows.push(("published model, ideal table", model));
         rows.push(("paper, Table 2", published.first().map(|(_, row)| *row)));
     }
-    (peaks_table(rows), published)
+    (peaks_table(passes_resonance(&points, planned_steps(setup)), rows), published)
 }
 
 fn timing_table(timing: &TimingReport) -> Table {
@@ -151,8 +158,15 @@ fn series(folder: &RunFolder) -> Result<RunSeries, RunError> {
     Ok(series)
 }
 
-fn notes(manifest: &Manifest) -> Vec<String> {
+/// What the reader must not miss; `steps` that were run, of so many.
+fn notes(manifest: &Manifest, steps: (usize, usize)) -> Vec<String> {
     let mut notes = Vec::new();
+    if steps.0 < steps.1 {
+        notes.push(format!(
+            "{} of {} steps were run; the largest values are those of these.",
+            steps.0, steps.1
+        ));
+    }
     if let Some(cause) = &manifest.cause {
         notes.push(format!("Cause of the end: {cause}."));
     }
@@ -180,6 +194,7 @@ pub fn report(folder: &RunFolder, steps: &[StepSummary]) -> Result<RunReport, Ru
     let setup = Setup::of_run(&manifest)?;
     let (summary, published) = final_table(&setup, steps);
     let state = folder.state(&manifest).name();
+    let planned = planned_steps(&setup);
     Ok(RunReport {
         title: format!("{} on {}", manifest.name, setup.rig.name),
         lead: format!(
@@ -189,9 +204,10 @@ pub fn report(folder: &RunFolder, steps: &[StepSummary]) -> Result<RunReport, Ru
             manifest.sample_rate_hz,
             manifest.clock
         ),
-        notes: notes(&manifest),
+        notes: notes(&manifest, (steps.len(), planned)),
         summary,
         steps: steps.iter().map(StepPoint::from).collect(),
+        planned_steps: planned,
         series: series(folder)?,
         published,
         timing: manifest.timing.as_ref().map(timing_table),

@@ -65,6 +65,8 @@ pub struct RunReport {
     pub summary: Table,
     /// Steady states, in the order of the sweep.
     pub steps: Vec<StepPoint>,
+    /// Steps of the whole sweep; fewer were run where it was stopped.
+    pub planned_steps: usize,
     /// Channels of the run.
     pub series: RunSeries,
     /// Published peaks of the case, with the label of their legend.
@@ -80,10 +82,9 @@ pub struct RunReport {
 /// The peaks of a forward sweep (of whatever there is when there is no forward step); `None` of nothing.
 /// `of` picks (A_max, excursion): measured or model.
 pub fn peaks(steps: &[StepPoint], of: impl Fn(&StepPoint) -> (f64, f64)) -> Option<Peaks> {
-    let forward = steps.iter().any(|step| step.direction == Direction::Forward);
-    let used = || steps.iter().filter(|step| !forward || step.direction == Direction::Forward);
-    let top = used().max_by(|a, b| of(a).0.total_cmp(&of(b).0))?;
-    let excursion_m = used().map(|step| of(step).1).fold(0.0, f64::max);
+    let used = forward_or_all(steps);
+    let top = used.clone().max_by(|a, b| of(a).0.total_cmp(&of(b).0))?;
+    let excursion_m = used.map(|step| of(step).1).fold(0.0, f64::max);
     Some(Peaks { frequency_hz: top.frequency_hz, a_max_m_s2: of(top).0, excursion_m })
 }
 
@@ -97,9 +98,31 @@ pub fn modelled(step: &StepPoint) -> (f64, f64) {
     (step.model_a_max_m_s2, step.model_excursion_m)
 }
 
-/// The final table: a row a source, columns pseudo-resonance, A_max, E_max.
-pub fn peaks_table<'a>(rows: impl IntoIterator<Item = (&'a str, Option<Peaks>)>) -> Table {
-    let mut table = Table::new(["", "pseudo-resonance (Hz)", "A_max (m/s2)", "E_max (mm)"]);
+/// Whether the sweep has passed its pseudo-resonance: it ended or turned back, and its largest A_max is not at an edge of the
+/// frequencies that were run. `planned` is the number of steps of the whole sweep.
+pub fn passes_resonance(steps: &[StepPoint], planned: usize) -> bool {
+    let turned = steps.windows(2).any(|two| two[0].direction != two[1].direction);
+    let used = forward_or_all(steps);
+    let inside = peaks(steps, measured).is_some_and(|top| {
+        let (below, above): (Vec<&StepPoint>, Vec<&StepPoint>) = used
+            .filter(|step| step.frequency_hz != top.frequency_hz)
+            .partition(|step| step.frequency_hz < top.frequency_hz);
+        !below.is_empty() && !above.is_empty()
+    });
+    inside && (turned || steps.len() >= planned)
+}
+
+/// The steps of a forward sweep, or whatever there is when there is no forward step.
+fn forward_or_all(steps: &[StepPoint]) -> impl Iterator<Item = &StepPoint> + Clone {
+    let forward = steps.iter().any(|step| step.direction == Direction::Forward);
+    steps.iter().filter(move |step| !forward || step.direction == Direction::Forward)
+}
+
+/// The final table: a row a source, columns frequency of the largest A_max (the pseudo-resonance if the sweep has passed it, see
+/// [`passes_resonance`]), A_max, E_max.
+pub fn peaks_table<'a>(passed: bool, rows: impl IntoIterator<Item = (&'a str, Option<Peaks>)>) -> Table {
+    let frequency = if passed { "pseudo-resonance (Hz)" } else { "A_max at (Hz)" };
+    let mut table = Table::new(["", frequency, "A_max (m/s2)", "E_max (mm)"]);
     for (label, peaks) in rows {
         match peaks {
             Some(p) => table.push([
@@ -182,9 +205,7 @@ impl RunReport {
     }
 
     fn top(&self) -> Option<&StepPoint> {
-        let forward = self.steps.iter().any(|step| step.direction == Direction::Forward);
-        let used = self.steps.iter().filter(|step| !forward || step.direction == Direction::Forward);
-        used.max_by(|a, b| a.a_max_m_s2.total_cmp(&b.a_max_m_s2))
+        forward_or_all(&self.steps).max_by(|a, b| a.a_max_m_s2.total_cmp(&b.a_max_m_s2))
     }
 
     fn resonance(&self, page: &mut Page) -> Result<(), ReportError> {
@@ -222,7 +243,9 @@ impl RunReport {
         if window.is_empty() {
             return Ok(());
         }
-        page.section(&format!("At pseudo-resonance, {:.2} Hz", step.frequency_hz));
+        let passed = passes_resonance(&self.steps, self.planned_steps);
+        let place = if passed { "pseudo-resonance" } else { "the largest A_max so far" };
+        page.section(&format!("At {place}, {:.2} Hz", step.frequency_hz));
         let pairs = |x: &dyn Fn(usize) -> f64, y: &dyn Fn(usize) -> f64| -> Vec<(f64, f64)> {
             window.clone().map(|i| (x(i), y(i))).collect()
         };

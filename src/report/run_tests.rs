@@ -63,10 +63,11 @@ fn report() -> RunReport {
         title: "B0 at 0.05 g".into(),
         lead: "Done.".into(),
         notes: vec!["3 samples lost".into()],
-        summary: peaks_table([
-            ("measured", peaks(&steps, measured)),
-            ("onboard model", peaks(&steps, modelled)),
-        ]),
+        summary: peaks_table(
+            true,
+            [("measured", peaks(&steps, measured)), ("onboard model", peaks(&steps, modelled))],
+        ),
+        planned_steps: steps.len(),
         published: vec![("Table 2".into(), Peaks { frequency_hz: 1.4, a_max_m_s2: 2.9, excursion_m: 0.07 })],
         steps,
         series,
@@ -87,7 +88,7 @@ fn peaks_are_those_of_the_forward_sweep() {
     assert_eq!(found, Peaks { frequency_hz: 1.1, a_max_m_s2: 2.0, excursion_m: 0.03 });
     assert_eq!(peaks(&steps[2..], measured).expect("backward only").a_max_m_s2, 9.0);
     assert_eq!(peaks(&[], measured), None);
-    let text = peaks_table([("measured", Some(found)), ("Table 2", None)]).text();
+    let text = peaks_table(true, [("measured", Some(found)), ("Table 2", None)]).text();
     assert!(text.contains("measured                   1.10          2.00        30.0"), "{text}");
 }
 
@@ -110,6 +111,27 @@ fn the_page_is_self_contained_and_has_all_figures() {
     assert!(html.contains("start_hz = &lt;0.5&gt;"));
     assert!(html.contains("prefers-color-scheme:dark"));
     assert!(html.len() < 2_000_000, "{} bytes", html.len());
+}
+
+#[test]
+fn what_is_largest_so_far_is_no_pseudo_resonance() {
+    let whole = report();
+    let planned = whole.planned_steps;
+    let at =
+        whole.steps.iter().position(|step| step.frequency_hz == whole.top().expect("steps").frequency_hz);
+    let stopped = |steps: usize| RunReport { steps: whole.steps[..steps].to_vec(), ..whole.clone() };
+    let told = |run: &RunReport| run.page().expect("drawn").html().contains("At pseudo-resonance, ");
+    assert!(told(&whole), "the sweep is over");
+    let forward = whole.steps.iter().filter(|step| step.direction == Direction::Forward).count();
+    assert!(told(&stopped(forward + 1)), "it turned back");
+    for steps in [2, at.expect("there") + 1, at.expect("there") + 2] {
+        assert!(!told(&stopped(steps)), "{steps} of {planned}");
+    }
+    // A sweep that ends below the resonance does not have it either.
+    let below = stopped(at.expect("there"));
+    assert!(!passes_resonance(&below.steps, below.steps.len()));
+    let text = peaks_table(false, [("measured", peaks(&below.steps, measured))]).text();
+    assert!(text.contains("A_max at (Hz)") && !text.contains("pseudo-resonance"), "{text}");
 }
 
 #[test]
