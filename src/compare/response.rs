@@ -135,18 +135,28 @@ impl Measured {
     }
 
     /// Rate of the displacement at a sample, m/s: difference of two neighbouring means, each an
-    /// eightieth of `cycle` samples wide, so that noise does not drown it.
+    /// eightieth of `cycle` samples wide, so that noise does not drown it; beyond the last place with
+    /// room for both means it goes on as it changed before.
     pub fn velocity(&self, sample: usize, cycle: usize) -> f64 {
-        let n = self.d.len();
-        let wide = (cycle / 80).max(1).min(sample.max(1)).min((n - sample.min(n)).max(1));
-        let from = sample.saturating_sub(wide);
-        let to = (sample + wide).min(n - 1);
-        if wide == 1 || to == from {
+        let last = self.d.len().saturating_sub(1);
+        let wide = (cycle / 80).max(1);
+        if last < 3 * wide {
+            let (from, to) = (sample.saturating_sub(1), (sample + 1).min(last));
             return (self.d[to] - self.d[from]) / ((to - from).max(1) as f64 * self.dt_s);
         }
-        // The two means are centred half a width before and behind the sample.
-        let sum = |range: Range<usize>| range.map(|i| self.d[i]).sum::<f64>();
-        (sum(sample + 1..to + 1) - sum(from..sample)) / wide as f64 / ((wide + 1) as f64 * self.dt_s)
+        let within = |sample: usize| {
+            let (from, to) = (sample - wide, sample + wide);
+            if wide == 1 {
+                return (self.d[to] - self.d[from]) / (2.0 * self.dt_s);
+            }
+            // The two means are centred half a width before and behind the sample.
+            let sum = |range: Range<usize>| range.map(|i| self.d[i]).sum::<f64>();
+            (sum(sample + 1..to + 1) - sum(from..sample)) / wide as f64 / ((wide + 1) as f64 * self.dt_s)
+        };
+        let inner = sample.clamp(wide, last - wide);
+        let beside = if sample < inner { inner + wide } else { inner - wide };
+        let change = if sample == inner { 0.0 } else { within(inner) - within(beside) };
+        within(inner) + change * sample.abs_diff(inner) as f64 / wide as f64
     }
 
     /// Length of the imposed beginning, samples: none when the record starts from rest, which the

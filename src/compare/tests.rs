@@ -46,6 +46,28 @@ fn swept(spec: &ModelSpec, hz: &[f64], amplitude_m_s2: f64, noise: Noise) -> Rec
 const STEPS: [f64; 9] = [0.8, 1.1, 1.4, 1.7, 2.0, 1.7, 1.4, 1.1, 0.8];
 
 #[test]
+fn a_record_that_ends_in_motion_leaves_no_force_at_its_end() {
+    let mut record = swept(&b1_g2(), &STEPS, 0.5, LAB);
+    let ranges = record.step_ranges();
+    let step = ranges[2].1.clone();
+    // Of its last cycles, the samples where the mass is farthest out and where it is fastest.
+    let d = record.relative_displacement_m.clone();
+    let late = step.end - 500..step.end - 20;
+    let farthest = late.clone().max_by(|a, b| d[*a].abs().total_cmp(&d[*b].abs())).expect("samples");
+    let fastest = late.max_by(|a, b| (d[*a + 9] - d[*a - 9]).abs().total_cmp(&(d[*b + 9] - d[*b - 9]).abs()));
+    let of_step = |record: &Record, step: usize| {
+        compare(record, &b1_g2()).expect("comparable").steps[step].force_residual_n.expect("measured")
+    };
+    let whole = of_step(&record, 2);
+    let fastest = fastest.expect("samples");
+    for end in [farthest.max(fastest), farthest.min(fastest)] {
+        record.truncate(end);
+        let cut = of_step(&record, 2);
+        assert!(cut < 1.2 * whole, "cut at {end}: {cut} N of {whole} N");
+    }
+}
+
+#[test]
 fn the_right_model_leaves_the_noise_floor_and_no_more() {
     let found = compare(&swept(&b1_g2(), &STEPS, 0.5, LAB), &b1_g2()).expect("comparable");
     assert_eq!(found.method, Method::FromRest);
