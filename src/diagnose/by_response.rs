@@ -40,6 +40,9 @@ const NEAR: f64 = 6.0;
 /// Change of the response, in units of the noise, that is faint enough for first order; attempts to make a start as faint.
 const FAINT: f64 = 0.3;
 const FAINTER: usize = 3;
+/// The same at a second look: where the model's own numbers make up for nearly all of a change, as a bumper's damping does for one that
+/// grows with penetration, the bend of what they make up for is more than what is left.
+const FAINTEST: f64 = 0.003;
 
 impl Searcher<'_> {
     /// Fits candidates by the simulated response: those that the force puts first, and those that the response itself does to
@@ -172,7 +175,7 @@ impl Searcher<'_> {
 }
 
 /// What starts of effects bring to first order: all of them, best first, then those that are kept again, with everything else moved as the
-/// first look has it follow, where that leaves less of a change.
+/// first look has it follow, and much fainter, where that tells of more. What is beyond first order can only hide what a start brings.
 pub(super) fn to_first_order(
     tangent: &Tangent<'_, '_>,
     starts: &[EffectSpec],
@@ -185,9 +188,18 @@ pub(super) fn to_first_order(
     let mut told: Vec<(EffectSpec, Score)> = told.into_iter().flatten().collect();
     told.sort_by(|a, b| b.1.nats.total_cmp(&a.1.nats));
     keep(&mut told);
+    let moved = |start: EffectSpec, score: Score| {
+        let again = tangent.score_again(&with(&start), &score);
+        let again = again.filter(|again| again.change < score.change || again.nats > score.nats);
+        (start, again.unwrap_or(score))
+    };
     parallel::map(&told, parallel::cores(), |(start, score)| {
-        let again = tangent.score_again(&with(start), score).filter(|again| again.change < score.change);
-        (start.clone(), again.unwrap_or_else(|| score.clone()))
+        let faintest = Some(FAINTEST / score.change)
+            .filter(|by| *by < 1.0)
+            .and_then(|by| fainter(start, by))
+            .and_then(|start| Some(moved(start.clone(), tangent.score(&with(&start))?)));
+        let faint = moved(start.clone(), score.clone());
+        faintest.filter(|(_, score)| score.nats > faint.1.nats).unwrap_or(faint)
     })
 }
 
