@@ -47,34 +47,33 @@ pub(super) fn cut(record: &Record, motion: &Motion, with_farthest: bool) -> Vec<
             }
         }
     }
-    // Every third stretch judges, but not one of which the fit sees how it settles; the first and last serve the fit, so that it need
-    // not extrapolate.
     let settles = with_farthest && record.step.len() == n && motion.kind == Kind::Base;
     let farthest = if settles { farthest(record, motion, &windows) } else { None };
+    let judging = judging(motion, &windows);
+    for (i, window) in windows.iter_mut().enumerate() {
+        // The fit sees how it settles.
+        window.held_out = judging.contains(&i) && farthest.as_ref().is_none_or(|f| f.step != window.step);
+    }
+    windows.extend(farthest);
+    windows.sort_by_key(|window| window.range.start);
+    windows
+}
+
+/// Which stretches judge: every third, but the first and last serve the fit, so that it need not extrapolate, and the one in which the
+/// mass goes farthest, of steps by far: there may be a contact that no other one has. The one beside it judges in its place.
+fn judging(motion: &Motion, windows: &[Window]) -> Vec<usize> {
     let last = windows.len().saturating_sub(1);
-    // Nor the one in which the mass goes farthest, of steps by far: there may be a contact that no other one has.
     let mut by_top: Vec<(f64, usize)> =
         windows.iter().map(|window| largest_m(motion, &window.range)).zip(0..).collect();
     by_top.sort_by(|a, b| b.0.total_cmp(&a.0));
     let alone = |two: &[(f64, usize)]| windows[two[0].1].random || two[0].0 > BY_FAR * two[1].0;
     let outermost = by_top.windows(2).next().filter(|two| alone(two)).map(|two| two[0].1);
-    for (i, window) in windows.iter_mut().enumerate() {
-        window.held_out = i % 3 == 1 && i != last;
-    }
-    // The one beside it judges in its place.
-    if let Some(i) = outermost.filter(|i| std::mem::take(&mut windows[*i].held_out)) {
-        let beside = if i + 1 < last { i + 1 } else { i - 1 };
-        windows[beside].held_out = beside > 0;
-    }
-    if let Some(farthest) = &farthest {
-        windows
-            .iter_mut()
-            .filter(|window| window.step == farthest.step)
-            .for_each(|window| window.held_out = false);
-    }
-    windows.extend(farthest);
-    windows.sort_by_key(|window| window.range.start);
-    windows
+    let in_place_of = |i: usize| match Some(i) == outermost {
+        true if i + 1 < last => i + 1,
+        true => i - 1,
+        false => i,
+    };
+    (0..last).filter(|i| i % 3 == 1).map(in_place_of).filter(|i| *i > 0).collect()
 }
 
 /// Largest displacement of the mass in so many samples, m.
