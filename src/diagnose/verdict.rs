@@ -330,7 +330,7 @@ pub fn leaves_noise(searcher: &Searcher<'_>, trial: &Trial, thresholds: Threshol
 }
 
 /// What brings so many times what is asked of all steps together need not bring its part on each of them: a first effect, another one.
-/// Of 30 records of nothing missing none had an effect that brought a sixth of what is asked.
+/// Of 69 records of nothing missing the one with most had an effect that brought 4.2 nats, of the 6 that are asked.
 const MORE: [f64; 2] = [1.25, 2.0];
 
 /// Of what was named on records with a known truth, so much was there, however sure the likelihood was (docs/diagnose.md).
