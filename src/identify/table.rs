@@ -9,6 +9,7 @@ use crate::record::{Kind, Record};
 use crate::signal::TableNoise;
 use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 /// A motion with more than this share of its sine beside it is no steady step with kicks, and is taken as it is.
 const STEADY: f64 = 0.2;
@@ -44,8 +45,8 @@ pub(super) struct Table {
 impl Table {
     /// From a record; the noise of the accelerometer is a deviation a sample.
     ///
-    /// The most probable motion given both sensors and their white noise, within each step, so that a record may be put together from
-    /// stretches: Whittaker's smoother, in whose middle the displacement has the weight `1 / (1 + (w / w_c)^4)`, `w_c^2` the ratio of the
+    /// The most probable motion given both sensors and their white noise, within each of the stretches that a record may be put
+    /// together from: Whittaker's smoother, in whose middle the displacement has the weight `1 / (1 + (w / w_c)^4)`, `w_c^2` the ratio of the
     /// noise of both, and the acceleration the rest (Eilers, Analytical Chemistry 75, 2003). Gain and delay of the displacement
     /// are taken to be the accelerometer's (generalised least squares). A displacement that differs by more than noise is left alone.
     pub fn of(record: &Record, accelerometer_noise_m_s2: f64) -> Self {
@@ -69,11 +70,7 @@ fn fused(record: &Record, noise_m_s2: f64) -> Option<Table> {
     let smoothness = Left { crossover_rad_s }.smoothness(dt);
     // What the displacement says less what the accelerometer does, and what it may be made of: gain, lead and zero of the accelerometer.
     let mut steps: Vec<(usize, [Vec<f64>; 2 * COLUMNS])> = Vec::new();
-    let mut ranges: Vec<_> = record.step_ranges().into_iter().map(|(_, range)| range).collect();
-    if ranges.is_empty() {
-        ranges.push(0..a.len());
-    }
-    for range in ranges {
+    for range in stretches(record) {
         if range.len() as f64 * dt * crossover_rad_s < SHORTEST {
             continue;
         }
@@ -118,6 +115,15 @@ fn fused(record: &Record, noise_m_s2: f64) -> Option<Table> {
         crossover_rad_s,
         gain_sigma: noise_m_s2 * inverse[(0, 0)].sqrt(),
     })
+}
+
+/// Stretches in which the table's motion goes on: a record is put together where a step follows another one at once; ramps and
+/// transitions belong to the steps that they lead to.
+fn stretches(record: &Record) -> Vec<Range<usize>> {
+    let steps = record.step_ranges();
+    let meet = steps.windows(2).filter(|two| two[0].1.end == two[1].1.start).map(|two| two[1].1.start);
+    let ends: Vec<usize> = meet.chain([record.table_acceleration_m_s2.len()]).collect();
+    std::iter::once(0).chain(ends.iter().copied()).zip(&ends).map(|(start, end)| start..*end).collect()
 }
 
 /// Solves `(1 + s D D') z = r`, `D` second differences, in place (Cholesky without roots of a matrix with five diagonals).
@@ -336,6 +342,29 @@ mod tests {
         let raw: Vec<f64> = record.table_acceleration_m_s2.iter().map(|a| a - 0.015).collect();
         let (before, after) = (slow(&raw, &truth), slow(&found.acceleration_m_s2, &truth));
         assert!(after < 0.3 * before, "{after} of {before} m/s2, {}", found.gain_sigma);
+    }
+
+    #[test]
+    fn a_ramp_and_a_transition_are_not_told_by_the_accelerometer_alone() {
+        let between = [0..STEP / 4, STEP / 2..3 * STEP / 4];
+        let mut squares = [[0.0; 2]; 2];
+        for seed in 0..8 {
+            let (mut record, truth) = record(0.0, seed);
+            record.truncate(STEP);
+            record.step = (0..STEP).map(|n| (2 * n / STEP) as i32).collect();
+            between.iter().for_each(|between| record.step[between.clone()].fill(-1));
+            let found = Table::of(&record, NOISE_M_S2);
+            let raw: Vec<f64> = record.table_acceleration_m_s2.iter().map(|a| a - 0.015).collect();
+            for (squares, between) in squares.iter_mut().zip(&between) {
+                let [raw, found] = [&raw, &found.acceleration_m_s2]
+                    .map(|of| slow(&of[between.clone()], &truth[between.clone()]).powi(2));
+                *squares = [squares[0] + raw, squares[1] + found];
+            }
+        }
+        // Half a second from where the record begins, less is known.
+        for [before, after] in squares {
+            assert!(after < 0.5_f64.powi(2) * before, "{after} of {before} m2/s4");
+        }
     }
 
     #[test]

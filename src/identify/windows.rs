@@ -9,8 +9,6 @@ use std::ops::Range;
 
 /// Steady steps below which a record is cut into equal parts.
 const FEWEST_STEPS: usize = 4;
-/// So many parts of the steps of such a record are enough without those between its steps.
-const ENOUGH_PARTS: usize = 12;
 /// Cycles of a step that count, and that warm it up.
 const COUNTED: f64 = 4.0;
 const WARM: f64 = 3.0;
@@ -39,13 +37,6 @@ pub(super) fn cut(record: &Record, motion: &Motion, with_farthest: bool) -> Vec<
     // A few long stretches leave none to judge by: they are cut into parts instead.
     if windows.len() < FEWEST_STEPS {
         windows = equal_parts(n, motion);
-        // Those between steps, where the table changes its frequency or begins to move, can be done without.
-        if record.step.len() == n && motion.kind == Kind::Base {
-            let within = |window: &Window| record.step[window.range.clone()].iter().all(|step| *step >= 0);
-            if windows.iter().filter(|window| within(window)).count() >= ENOUGH_PARTS {
-                windows.retain(within);
-            }
-        }
     }
     let settles = with_farthest && record.step.len() == n && motion.kind == Kind::Base;
     let farthest = if settles { farthest(record, motion, &windows) } else { None };
@@ -237,28 +228,6 @@ mod tests {
         };
         assert_eq!(held_out([0, 1, 2, 3]), (false, vec![false, true, false, false]));
         assert_eq!(held_out([0, 3, 12, 13]), (true, vec![false, false, true, false]));
-    }
-
-    #[test]
-    fn of_few_steps_what_lies_between_them_is_done_without() {
-        let mut record = seen(&b1_g2(), 1);
-        let ranges = record.step_ranges();
-        let between = ranges[1].1.start..ranges[1].1.start + 3000;
-        record.step[between.clone()].fill(-1);
-        let parts = |record: &Record, end: usize| {
-            let mut cut = record.clone();
-            cut.truncate(end);
-            let motion = Motion::of(&cut, 500.0, Tolerances::default()).expect("sound");
-            assert!(motion.windows.iter().all(|w| w.random), "too few steps are left");
-            let apart = |w: &&Window| w.range.end <= between.start || between.end <= w.range.start;
-            (motion.windows.iter().filter(apart).count(), motion.windows.len())
-        };
-        let (apart, all) = parts(&record, ranges[2].1.end);
-        assert!(apart == all && all > 20, "{apart} of {all}");
-        // Where little else is there, it serves all the same.
-        record.step[..ranges[1].1.start].fill(-1);
-        let (apart, all) = parts(&record, between.end + 3000);
-        assert!(apart < all, "{apart} of {all}");
     }
 
     #[test]
