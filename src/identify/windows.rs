@@ -195,9 +195,8 @@ mod tests {
     use super::largest_m;
     use crate::diagnose::testing::seen;
     use crate::identify::kinematics::Tolerances;
-    use crate::identify::motion::{Motion, Window};
+    use crate::identify::motion::Motion;
     use crate::model::testing::b1_g2;
-    use crate::record::Record;
 
     #[test]
     fn the_farthest_excursion_is_looked_at_although_the_motion_only_settles_there() {
