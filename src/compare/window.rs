@@ -1,7 +1,7 @@
 //! Which samples of a record count, and where in the cycle of the excitation each of them lies.
 
 use crate::record::{Kind, Record};
-use crate::signal::{STEADY_CYCLES, fundamental_hz};
+use crate::signal::{STEADY_CYCLES, cycles_hz, fundamental_hz, table_cycles_hz};
 use crate::sweep::Direction;
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -67,7 +67,7 @@ pub fn windows(record: &Record) -> Vec<Window> {
 fn of_step(record: &Record, step: i32, whole: Range<usize>) -> Option<Window> {
     let rate = record.sample_rate_hz;
     let input = record.input().get(whole.clone())?;
-    let frequency_hz = frequency(input, rate)?;
+    let frequency_hz = frequency(input, rate, record.kind)?;
     let cycle = rate / frequency_hz;
     let cycles = (whole.len() as f64 / cycle + 0.02).floor();
     let steady = STEADY_CYCLES as f64;
@@ -86,33 +86,13 @@ fn of_step(record: &Record, step: i32, whole: Range<usize>) -> Option<Window> {
 }
 
 /// Frequency of a step, Hz, fitted on block means of it.
-fn frequency(input: &[f64], rate: f64) -> Option<f64> {
+fn frequency(input: &[f64], rate: f64, kind: Kind) -> Option<f64> {
     let mean = input.iter().sum::<f64>() / input.len().max(1) as f64;
-    let coarse = coarse_hz(input, mean, rate)?;
+    let coarse = if kind == Kind::Base { table_cycles_hz(input, rate) } else { cycles_hz(input, rate) }?;
     let block = ((rate / (FIT_SAMPLES_PER_CYCLE * coarse)) as usize).max(1);
     let means: Vec<f64> =
         input.chunks_exact(block).map(|piece| piece.iter().sum::<f64>() / block as f64 - mean).collect();
     fundamental_hz(&means, rate / block as f64).filter(|f| (f / coarse - 1.0).abs() < 0.2).or(Some(coarse))
-}
-
-/// Rising crossings of the mean with a hysteresis of half the RMS, Hz.
-fn coarse_hz(input: &[f64], mean: f64, rate: f64) -> Option<f64> {
-    let power = input.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / input.len().max(1) as f64;
-    let level = 0.5 * power.sqrt();
-    let (mut low, mut count, mut first, mut last) = (false, 0u32, 0usize, 0usize);
-    for (i, x) in input.iter().enumerate() {
-        if x - mean < -level {
-            low = true;
-        } else if low && x - mean > level {
-            low = false;
-            count += 1;
-            if count == 1 {
-                first = i;
-            }
-            last = i;
-        }
-    }
-    (count >= 2).then(|| f64::from(count - 1) * rate / (last - first) as f64)
 }
 
 /// Phase of a sine at the first sample of whole cycles of it, rad.

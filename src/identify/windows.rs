@@ -3,6 +3,7 @@
 use super::motion::{Motion, Window};
 use crate::model::elementary::sin_cos;
 use crate::record::{Kind, Record};
+use crate::signal::{cycles_hz, table_cycles_hz};
 use realfft::num_complex::Complex64;
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -101,7 +102,8 @@ fn farthest(record: &Record, motion: &Motion, steady: &[Window]) -> Option<Windo
 fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
     let rate = motion.sample_rate_hz;
     let input = if motion.drive_m_s2.is_empty() { &motion.displacement_m } else { &motion.drive_m_s2 };
-    let frequency_hz = main_frequency_hz(&input[range.clone()], rate)?;
+    let cycles_hz = if motion.kind == Kind::Base { table_cycles_hz } else { cycles_hz };
+    let frequency_hz = cycles_hz(&input[range.clone()], rate)?;
     let cycle = rate / frequency_hz;
     let cycles = (range.len() as f64 / cycle).floor();
     let mut counted = if cycles >= COUNTED + WARM { COUNTED } else { (cycles / 2.0).floor() };
@@ -153,7 +155,7 @@ fn equal_parts(n: usize, motion: &Motion) -> Vec<Window> {
     let length = n / parts;
     // A force may have any frequency; the mass answers at its own.
     let told = if motion.kind == Kind::Base { &motion.drive_m_s2 } else { &motion.displacement_m };
-    let frequency_hz = main_frequency_hz(told, motion.sample_rate_hz).unwrap_or(1.0);
+    let frequency_hz = cycles_hz(told, motion.sample_rate_hz).unwrap_or(1.0);
     let most = (CYCLES_OF_A_PART * motion.sample_rate_hz / frequency_hz).max(64.0) as usize;
     let counted = if motion.kind == Kind::Force { length.min(most) } else { length };
     (usize::from(parts > 4)..parts)
@@ -164,30 +166,6 @@ fn equal_parts(n: usize, motion: &Motion) -> Vec<Window> {
             Window { random: motion.kind != Kind::Component, ..part }
         })
         .collect()
-}
-
-/// Frequency from upward crossings of the mean with a hysteresis of half the RMS; `None` with
-/// fewer than two.
-fn main_frequency_hz(channel: &[f64], rate: f64) -> Option<f64> {
-    let mean = channel.iter().sum::<f64>() / channel.len().max(1) as f64;
-    let rms = (channel.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / channel.len().max(1) as f64).sqrt();
-    let mut low = false;
-    let mut crossings: Vec<f64> = Vec::new();
-    let mut below = 0;
-    for (i, x) in channel.iter().enumerate() {
-        let x = x - mean;
-        if x < 0.0 {
-            below = i;
-        }
-        if x < -0.5 * rms {
-            low = true;
-        } else if low && x > 0.5 * rms {
-            low = false;
-            crossings.push(below as f64);
-        }
-    }
-    let (first, last) = (crossings.first()?, crossings.last()?);
-    (crossings.len() > 1).then(|| (crossings.len() - 1) as f64 * rate / (last - first))
 }
 
 #[cfg(test)]

@@ -111,6 +111,52 @@ pub(crate) fn fundamental(samples: &[f64], sample_rate_hz: f64) -> Option<(f64, 
     valid.then(|| (hz, whole.arg() + 0.25 * TAU))
 }
 
+/// How far apart two ways to tell a frequency may be.
+const ALIKE: f64 = 0.05;
+
+/// Cycles a second of a steady motion (Hz) from upward crossings of its mean with a hysteresis of half the RMS; `None` with
+/// fewer than two.
+pub(crate) fn cycles_hz(channel: &[f64], sample_rate_hz: f64) -> Option<f64> {
+    let mean = channel.iter().sum::<f64>() / channel.len().max(1) as f64;
+    let rms = (channel.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / channel.len().max(1) as f64).sqrt();
+    let (mut low, mut below) = (false, 0);
+    let mut crossings: Vec<usize> = Vec::new();
+    for (i, x) in channel.iter().enumerate() {
+        let x = x - mean;
+        if x < 0.0 {
+            below = i;
+        }
+        if x < -0.5 * rms {
+            low = true;
+        } else if low && x > 0.5 * rms {
+            low = false;
+            crossings.push(below);
+        }
+    }
+    let (first, last) = (crossings.first()?, crossings.last()?);
+    (crossings.len() > 1).then(|| (crossings.len() - 1) as f64 * sample_rate_hz / (last - first) as f64)
+}
+
+/// The same of a table's acceleration. Impacts that kick the table cross it between, but hardly its velocity: where the two tell
+/// different frequencies, that counts at which the table goes farther.
+pub(crate) fn table_cycles_hz(acceleration_m_s2: &[f64], sample_rate_hz: f64) -> Option<f64> {
+    let n = acceleration_m_s2.len();
+    let mean = acceleration_m_s2.iter().sum::<f64>() / n.max(1) as f64;
+    let mut velocity = 0.0;
+    let velocity: Vec<f64> = acceleration_m_s2
+        .iter()
+        .map(|a| {
+            velocity += a - mean;
+            velocity
+        })
+        .collect();
+    let told = [acceleration_m_s2, &velocity].map(|channel| cycles_hz(channel, sample_rate_hz));
+    let [Some(hz), Some(other_hz)] = told else { return told[0].or(told[1]) };
+    let goes = |hz: f64| phasor(acceleration_m_s2, 0, hz, sample_rate_hz).norm() / (hz * hz);
+    let kicked = (other_hz / hz - 1.0).abs() > ALIKE && goes(other_hz) > goes(hz);
+    Some(if kicked { other_hz } else { hz })
+}
+
 /// Frequency from the first to the last rising crossing of the zero of a signal, with a hysteresis of a
 /// third of its largest value.
 fn crossing_hz(samples: &[f64], sample_rate_hz: f64) -> Option<f64> {
@@ -255,5 +301,28 @@ mod tests {
         let hz = fundamental_hz(&samples, 1024.0).expect("a sine");
         assert!((hz - 1.3717).abs() < 2e-4, "{hz}");
         assert_eq!(fundamental_hz(&[0.0; 100], 1024.0), None);
+    }
+
+    #[test]
+    fn kicks_of_impacts_are_no_cycles_of_the_table() {
+        let (rate, hz) = (2048.0, 2.4);
+        let table = |kick: f64| -> Vec<f64> {
+            let at = |i: i32| {
+                let cycles = hz * f64::from(i) / rate;
+                // Two bumpers, and one from which the mass bounces twice.
+                let kicked = |from: f64| (from..from + 0.02).contains(&cycles.fract());
+                let kicks = if kicked(0.1) || kicked(0.2) { -kick } else { 0.0 };
+                0.49 * (TAU * cycles).sin() + kicks + if kicked(0.65) { kick } else { 0.0 }
+            };
+            (0..(10.0 * rate / hz) as i32).map(at).collect()
+        };
+        let kicked = table(2.0);
+        let by_acceleration = cycles_hz(&kicked, rate).expect("cycles");
+        assert!(by_acceleration > 1.5 * hz, "{by_acceleration} Hz");
+        let found = table_cycles_hz(&kicked, rate).expect("cycles");
+        assert!((found / hz - 1.0).abs() < 0.01, "{found} Hz");
+        // What nothing kicks is told by its acceleration.
+        let still = table(0.0);
+        assert_eq!(table_cycles_hz(&still, rate), cycles_hz(&still, rate));
     }
 }
