@@ -2,7 +2,7 @@
 
 use super::window::Window;
 use crate::record::{Kind, Record};
-use crate::signal::{BAND_HIGH_HZ, BAND_LOW_HZ, BandPass};
+use crate::signal::{BAND_HIGH_HZ, BAND_LOW_HZ, BandPass, rising};
 
 /// Edges of the comparison's band-pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -89,24 +89,11 @@ fn occupied(record: &Record) -> (f64, f64) {
         _ if !record.displacement_m.is_empty() => &record.displacement_m,
         _ => &record.acceleration_m_s2,
     };
-    let n = motion.len().max(1) as f64;
-    let mean = motion.iter().sum::<f64>() / n;
-    let level = 0.3 * (motion.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / n).sqrt();
-    let (mut low, mut count, mut last, mut longest, mut shortest) = (false, 0u32, None, 0usize, usize::MAX);
-    for (i, x) in motion.iter().enumerate() {
-        if x - mean < -level {
-            low = true;
-        } else if low && x - mean > level {
-            low = false;
-            if let Some(before) = last.replace(i) {
-                count += 1;
-                longest = longest.max(i - before);
-                shortest = shortest.min(i - before);
-            }
-        }
+    let rate = record.sample_rate_hz;
+    let crossings: Vec<usize> = rising(motion, 0.3).map(|crossing| crossing.above).collect();
+    let cycles = || crossings.windows(2).map(|two| two[1] - two[0]);
+    match (cycles().max(), cycles().min()) {
+        (Some(longest), Some(shortest)) => (rate / longest as f64, rate / shortest.max(2) as f64),
+        _ => (2.0 * rate / motion.len().max(1) as f64, 0.05 * rate),
     }
-    if count == 0 {
-        return (2.0 * record.sample_rate_hz / n, 0.05 * record.sample_rate_hz);
-    }
-    (record.sample_rate_hz / longest as f64, record.sample_rate_hz / shortest.max(2) as f64)
 }

@@ -6,7 +6,7 @@ use crate::identify::spectral::{along_straight_lines, held_1_s2};
 use crate::model::system::System;
 use crate::model::{ModelSpec, Observer, Regime, Specimen, build};
 use crate::record::{Kind, Record};
-use crate::signal::{TableNoise, hann, table_acceleration, table_noise};
+use crate::signal::{TableNoise, hann, rising, table_acceleration, table_noise};
 use rand::{Rng, SeedableRng};
 use serde::Serialize;
 use std::ops::Range;
@@ -145,13 +145,10 @@ impl Measured {
             return (self.d[to] - self.d[from]) / ((to - from).max(1) as f64 * self.dt_s);
         }
         let within = |sample: usize| {
-            let (from, to) = (sample - wide, sample + wide);
-            if wide == 1 {
-                return (self.d[to] - self.d[from]) / (2.0 * self.dt_s);
-            }
             // The two means are centred half a width before and behind the sample.
             let sum = |range: Range<usize>| range.map(|i| self.d[i]).sum::<f64>();
-            (sum(sample + 1..to + 1) - sum(from..sample)) / wide as f64 / ((wide + 1) as f64 * self.dt_s)
+            let apart = sum(sample + 1..sample + wide + 1) - sum(sample - wide..sample);
+            apart / wide as f64 / ((wide + 1) as f64 * self.dt_s)
         };
         let inner = sample.clamp(wide, last - wide);
         let beside = if sample < inner { inner + wide } else { inner - wide };
@@ -210,18 +207,7 @@ fn without_offset(mut d: Vec<f64>, notes: &mut Vec<String>) -> Vec<f64> {
 
 /// Samples between rising crossings of the mean, over the whole channel.
 fn typical_cycle(channel: &[f64]) -> usize {
-    let mean = channel.iter().sum::<f64>() / channel.len().max(1) as f64;
-    let rms = (channel.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / channel.len().max(1) as f64).sqrt();
-    let (mut low, mut count) = (false, 0);
-    for x in channel {
-        if x - mean < -0.3 * rms {
-            low = true;
-        } else if low && x - mean > 0.3 * rms {
-            low = false;
-            count += 1;
-        }
-    }
-    (channel.len() / (count + 1)).max(1)
+    (channel.len() / (rising(channel, 0.3).count() + 1)).max(1)
 }
 
 /// Whether something brings the mass back: a spring, or a cubic one.

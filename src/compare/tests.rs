@@ -55,14 +55,14 @@ fn a_record_that_ends_in_motion_leaves_no_force_at_its_end() {
     let late = step.end - 500..step.end - 20;
     let farthest = late.clone().max_by(|a, b| d[*a].abs().total_cmp(&d[*b].abs())).expect("samples");
     let fastest = late.max_by(|a, b| (d[*a + 9] - d[*a - 9]).abs().total_cmp(&(d[*b + 9] - d[*b - 9]).abs()));
-    let of_step = |record: &Record, step: usize| {
-        compare(record, &b1_g2()).expect("comparable").steps[step].force_residual_n.expect("measured")
+    let left = |record: &Record| {
+        compare(record, &b1_g2()).expect("comparable").steps[2].force_residual_n.expect("measured")
     };
-    let whole = of_step(&record, 2);
+    let whole = left(&record);
     let fastest = fastest.expect("samples");
     for end in [farthest.max(fastest), farthest.min(fastest)] {
         record.truncate(end);
-        let cut = of_step(&record, 2);
+        let cut = left(&record);
         assert!(cut < 1.2 * whole, "cut at {end}: {cut} N of {whole} N");
     }
 }

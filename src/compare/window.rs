@@ -1,7 +1,7 @@
 //! Which samples of a record count, and where in the cycle of the excitation each of them lies.
 
 use crate::record::{Kind, Record};
-use crate::signal::{STEADY_CYCLES, cycles_hz, fundamental_hz, table_cycles_hz};
+use crate::signal::{STEADY_CYCLES, fundamental_hz, step_cycles_hz};
 use crate::sweep::Direction;
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -88,7 +88,7 @@ fn of_step(record: &Record, step: i32, whole: Range<usize>) -> Option<Window> {
 /// Frequency of a step, Hz, fitted on block means of it.
 fn frequency(input: &[f64], rate: f64, kind: Kind) -> Option<f64> {
     let mean = input.iter().sum::<f64>() / input.len().max(1) as f64;
-    let coarse = if kind == Kind::Base { table_cycles_hz(input, rate) } else { cycles_hz(input, rate) }?;
+    let coarse = step_cycles_hz(kind, input, rate)?;
     let block = ((rate / (FIT_SAMPLES_PER_CYCLE * coarse)) as usize).max(1);
     let means: Vec<f64> =
         input.chunks_exact(block).map(|piece| piece.iter().sum::<f64>() / block as f64 - mean).collect();

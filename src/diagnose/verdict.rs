@@ -394,11 +394,10 @@ fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(
 /// Where contacts begin and end moves by whole samples, which a linearised fit does not see: the amplitude of the added
 /// effect is known at least as well as the fall of the sum of squares from zero amplitude says.
 fn sharpen(trial: &mut Trial, from: &Trial) {
-    let leading = format!("effect[{}].", trial.refit.spec.effects.len() - 1);
     let gained = trial.training_gain(from);
+    let leading = leading(trial);
     let refit = &mut trial.refit;
-    let first = refit.numbers.numbers.iter().position(|n| n.key.starts_with(&leading));
-    if let Some(j) = first.filter(|j| !refit.numbers.numbers[*j].logarithmic)
+    if let Some(j) = leading.filter(|j| !refit.numbers.numbers[*j].logarithmic)
         && gained > 0.0
     {
         refit.sigmas[j] = refit.sigmas[j].min(refit.fit.values[j].abs() / (2.0 * gained).sqrt());
@@ -419,17 +418,19 @@ fn follows(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
     }
 }
 
-/// The interval of a parameter of the added effect excludes zero: the one of 95 % where the simulated response decides, whose
+/// Place of the first number of the effect added last among those that were fitted: how strong it is.
+fn leading(trial: &Trial) -> Option<usize> {
+    let prefix = format!("effect[{}].", trial.refit.spec.effects.len() - 1);
+    trial.refit.numbers.numbers.iter().position(|number| number.key.starts_with(&prefix))
+}
+
+/// The interval of the leading parameter of the added effect excludes zero (how fast a stiffness falls that does not fall may be known
+/// all the same): the one of 95 % where the simulated response decides, whose
 /// nats have told chance already; else by 3.5 standard deviations of the coloured fit.
 fn excludes_zero(trial: &Trial, from: &Trial) -> bool {
-    let index = trial.refit.spec.effects.len() - 1;
-    let prefix = format!("effect[{index}].");
-    let refit = &trial.refit;
-    let times: f64 = if trial.response.is_some() { 1.96 } else { 3.5 };
-    // The first number of an effect is how strong it is; how fast a stiffness falls that does not fall may be known all the same.
-    let leading = refit.numbers.numbers.iter().enumerate().find(|(_, n)| n.key.starts_with(&prefix));
-    leading.is_some_and(|(j, number)| {
-        let (value, sigma) = (refit.fit.values[j], refit.sigmas[j]);
+    let (refit, times) = (&trial.refit, if trial.response.is_some() { 1.96_f64 } else { 3.5 });
+    leading(trial).is_some_and(|j| {
+        let (number, value, sigma) = (&refit.numbers.numbers[j], refit.fit.values[j], refit.sigmas[j]);
         // A number fitted by its logarithm is away from zero when its magnitude is known.
         let known = if number.logarithmic { sigma < 0.5 } else { value.abs() > times * sigma };
         known || !number.logarithmic && trial.training_gain(from) > 0.5 * times.powi(2)

@@ -3,7 +3,7 @@
 use super::motion::{Motion, Window};
 use crate::model::elementary::sin_cos;
 use crate::record::{Kind, Record};
-use crate::signal::{cycles_hz, table_cycles_hz};
+use crate::signal::{cycles_hz, step_cycles_hz};
 use realfft::num_complex::Complex64;
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -102,8 +102,7 @@ fn farthest(record: &Record, motion: &Motion, steady: &[Window]) -> Option<Windo
 fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
     let rate = motion.sample_rate_hz;
     let input = if motion.drive_m_s2.is_empty() { &motion.displacement_m } else { &motion.drive_m_s2 };
-    let cycles_hz = if motion.kind == Kind::Base { table_cycles_hz } else { cycles_hz };
-    let frequency_hz = cycles_hz(&input[range.clone()], rate)?;
+    let frequency_hz = step_cycles_hz(motion.kind, &input[range.clone()], rate)?;
     let cycle = rate / frequency_hz;
     let cycles = (range.len() as f64 / cycle).floor();
     let mut counted = if cycles >= COUNTED + WARM { COUNTED } else { (cycles / 2.0).floor() };

@@ -158,14 +158,11 @@ fn series(folder: &RunFolder) -> Result<RunSeries, RunError> {
     Ok(series)
 }
 
-/// What the reader must not miss; `steps` that were run, of so many.
-fn notes(manifest: &Manifest, steps: (usize, usize)) -> Vec<String> {
+/// What the reader must not miss; `run` steps of a sweep of `planned` ones were run.
+fn notes(manifest: &Manifest, run: usize, planned: usize) -> Vec<String> {
     let mut notes = Vec::new();
-    if steps.0 < steps.1 {
-        notes.push(format!(
-            "{} of {} steps were run; the largest values are those of these.",
-            steps.0, steps.1
-        ));
+    if run < planned {
+        notes.push(format!("{run} of {planned} steps were run; the largest values are those of these."));
     }
     if let Some(cause) = &manifest.cause {
         notes.push(format!("Cause of the end: {cause}."));
@@ -204,7 +201,7 @@ pub fn report(folder: &RunFolder, steps: &[StepSummary]) -> Result<RunReport, Ru
             manifest.sample_rate_hz,
             manifest.clock
         ),
-        notes: notes(&manifest, (steps.len(), planned)),
+        notes: notes(&manifest, steps.len(), planned),
         summary,
         steps: steps.iter().map(StepPoint::from).collect(),
         planned_steps: planned,

@@ -102,13 +102,9 @@ pub fn modelled(step: &StepPoint) -> (f64, f64) {
 /// frequencies that were run. `planned` is the number of steps of the whole sweep.
 pub fn passes_resonance(steps: &[StepPoint], planned: usize) -> bool {
     let turned = steps.windows(2).any(|two| two[0].direction != two[1].direction);
-    let used = forward_or_all(steps);
-    let inside = peaks(steps, measured).is_some_and(|top| {
-        let (below, above): (Vec<&StepPoint>, Vec<&StepPoint>) = used
-            .filter(|step| step.frequency_hz != top.frequency_hz)
-            .partition(|step| step.frequency_hz < top.frequency_hz);
-        !below.is_empty() && !above.is_empty()
-    });
+    let any = |is: &dyn Fn(f64) -> bool| forward_or_all(steps).any(|step| is(step.frequency_hz));
+    let inside = peaks(steps, measured)
+        .is_some_and(|top| any(&|hz| hz < top.frequency_hz) && any(&|hz| hz > top.frequency_hz));
     inside && (turned || steps.len() >= planned)
 }
 

@@ -15,7 +15,7 @@ pub use analyzer::{ChannelResult, CyclePlace, HARMONICS, Harmonic, MAX_CYCLES, S
 pub use butterworth::{BandPass, FilterBank};
 pub use low_pass::LowPass;
 pub use offline::{RecordStep, analyse_record, band_pass, fundamental_hz, hann, project};
-pub(crate) use offline::{cycles_hz, table_cycles_hz};
+pub(crate) use offline::{cycles_hz, rising, step_cycles_hz};
 pub use spectrum::{EASED, EASED_FOURTH, Spectrum, TAPERED};
 pub use table_motion::{TableMotion, TableNoise, table_acceleration, table_noise};
 

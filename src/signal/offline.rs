@@ -4,7 +4,7 @@
 use super::analyzer::{CyclePlace, StepAnalyzer, StepResult};
 use super::butterworth::{BandPass, FilterBank};
 use super::{BAND_HIGH_HZ, BAND_LOW_HZ};
-use crate::record::Record;
+use crate::record::{Kind, Record};
 use nalgebra::Complex;
 use std::f64::consts::TAU;
 
@@ -117,29 +117,20 @@ const ALIKE: f64 = 0.05;
 /// Cycles a second of a steady motion (Hz) from upward crossings of its mean with a hysteresis of half the RMS; `None` with
 /// fewer than two.
 pub(crate) fn cycles_hz(channel: &[f64], sample_rate_hz: f64) -> Option<f64> {
-    let mean = channel.iter().sum::<f64>() / channel.len().max(1) as f64;
-    let rms = (channel.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / channel.len().max(1) as f64).sqrt();
-    let (mut low, mut below) = (false, 0);
-    let mut crossings: Vec<usize> = Vec::new();
-    for (i, x) in channel.iter().enumerate() {
-        let x = x - mean;
-        if x < 0.0 {
-            below = i;
-        }
-        if x < -0.5 * rms {
-            low = true;
-        } else if low && x > 0.5 * rms {
-            low = false;
-            crossings.push(below);
-        }
+    rate_of(rising(channel, 0.5).map(|crossing| crossing.below), sample_rate_hz)
+}
+
+/// The same of what moves a step of a record of such a kind.
+pub(crate) fn step_cycles_hz(kind: Kind, input: &[f64], sample_rate_hz: f64) -> Option<f64> {
+    match kind {
+        Kind::Base => table_cycles_hz(input, sample_rate_hz),
+        Kind::Force | Kind::Component => cycles_hz(input, sample_rate_hz),
     }
-    let (first, last) = (crossings.first()?, crossings.last()?);
-    (crossings.len() > 1).then(|| (crossings.len() - 1) as f64 * sample_rate_hz / (last - first) as f64)
 }
 
 /// The same of a table's acceleration. Impacts that kick the table cross it between, but hardly its velocity: where the two tell
 /// different frequencies, that counts at which the table goes farther.
-pub(crate) fn table_cycles_hz(acceleration_m_s2: &[f64], sample_rate_hz: f64) -> Option<f64> {
+fn table_cycles_hz(acceleration_m_s2: &[f64], sample_rate_hz: f64) -> Option<f64> {
     let n = acceleration_m_s2.len();
     let mean = acceleration_m_s2.iter().sum::<f64>() / n.max(1) as f64;
     let mut velocity = 0.0;
@@ -161,21 +152,44 @@ pub(crate) fn table_cycles_hz(acceleration_m_s2: &[f64], sample_rate_hz: f64) ->
 /// third of its largest value.
 fn crossing_hz(samples: &[f64], sample_rate_hz: f64) -> Option<f64> {
     let level = samples.iter().fold(0.0f64, |top, sample| top.max(sample.abs())) / 3.0;
-    let (mut low, mut count) = (false, 0u32);
-    let (mut first, mut last) = (0usize, 0usize);
-    for (i, &sample) in samples.iter().enumerate() {
-        if sample < -level {
-            low = true;
-        } else if low && sample > level {
-            low = false;
-            count += 1;
-            if count == 1 {
-                first = i;
-            }
-            last = i;
+    rate_of(rising_about(samples, 0.0, level).map(|crossing| crossing.above), sample_rate_hz)
+}
+
+/// Crossings a second from the first to the last one; `None` with fewer than two.
+fn rate_of(mut crossings: impl Iterator<Item = usize>, sample_rate_hz: f64) -> Option<f64> {
+    let first = crossings.next()?;
+    let (count, last) = crossings.fold((0u32, first), |(count, _), crossing| (count + 1, crossing));
+    (count > 0).then(|| f64::from(count) * sample_rate_hz / (last - first) as f64)
+}
+
+/// A rising crossing of the middle of a channel.
+pub(crate) struct Rising {
+    /// Last sample below the middle.
+    pub below: usize,
+    /// First sample above the level zone.
+    pub above: usize,
+}
+
+/// Rising crossings of the mean of a channel with a hysteresis of a share of its RMS about it to either side.
+pub(crate) fn rising(channel: &[f64], share_of_rms: f64) -> impl Iterator<Item = Rising> {
+    let n = channel.len().max(1) as f64;
+    let mean = channel.iter().sum::<f64>() / n;
+    let rms = (channel.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / n).sqrt();
+    rising_about(channel, mean, share_of_rms * rms)
+}
+
+/// The same of any middle, with any hysteresis.
+fn rising_about(channel: &[f64], middle: f64, level: f64) -> impl Iterator<Item = Rising> {
+    let (mut low, mut below) = (false, 0);
+    channel.iter().enumerate().filter_map(move |(i, x)| {
+        let x = x - middle;
+        if x < 0.0 {
+            below = i;
         }
-    }
-    (count >= 2).then(|| f64::from(count - 1) * sample_rate_hz / (last - first) as f64)
+        let crosses = low && x > level;
+        low = x < -level || low && !crosses;
+        crosses.then_some(Rising { below, above: i })
+    })
 }
 
 /// Hann-windowed sum of `y exp(-i w n)` from sample `offset` on.
@@ -229,7 +243,6 @@ pub fn hann(length: usize) -> impl Iterator<Item = f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::Kind;
     use crate::sweep::{Generator, Schedule, SweepSpec};
     use crate::units::SAMPLE_RATE_HZ;
 
