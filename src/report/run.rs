@@ -240,7 +240,7 @@ impl RunReport {
             return Ok(());
         }
         let passed = passes_resonance(&self.steps, self.planned_steps);
-        let place = if passed { "pseudo-resonance" } else { "the largest A_max so far" };
+        let place = if passed { "pseudo-resonance" } else { "the largest A_max" };
         page.section(&format!("At {place}, {:.2} Hz", step.frequency_hz));
         let pairs = |x: &dyn Fn(usize) -> f64, y: &dyn Fn(usize) -> f64| -> Vec<(f64, f64)> {
             window.clone().map(|i| (x(i), y(i))).collect()
