@@ -166,3 +166,24 @@ fn an_interrupt_stops_the_table_and_closes_the_run() {
     let largest = rows.windows(2).map(jerk).fold(0.0, f64::max);
     assert!(largest < 100.0, "the command is smooth to its end: {largest} m/s3");
 }
+
+#[test]
+fn a_whole_sweep_behind_the_stiffest_bumper_lacks_nothing() {
+    let out = tempfile::tempdir().expect("folder");
+    let model = "andreaus-2020-b4-g3";
+    let words =
+        ["run", "--json", "--seed", "23", "--model", model, "--out", out.path().to_str().expect("a path")];
+    let ran = json(&shaketable(&words));
+    assert_eq!(ran["outcome"], "done");
+    let folder = ran["run_dir"].as_str().expect("a folder");
+    let found = json(&shaketable(&["diagnose", folder, "--model", model, "--json"]));
+    // Noise within the kicks of impacts was taken for a constant force, and for slow noise of the laser.
+    assert_eq!(found["verdict"], "adequate", "{found}");
+    let notes = found["notes"].as_array().expect("notes");
+    assert!(notes.iter().all(|note| !note.as_str().unwrap_or_default().contains("slow noise")), "{notes:?}");
+    let numbers = found["reidentified"].as_array().expect("numbers");
+    let of = |number: &Value, key: &str| number[key].as_f64().expect("a number");
+    let deviations =
+        |n: &Value| 3.92 * (of(n, "value") - of(n, "nominal")) / (of(n, "high95") - of(n, "low95"));
+    assert!(numbers.iter().all(|number| deviations(number).abs() < 3.0), "{numbers:?}");
+}

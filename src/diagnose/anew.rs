@@ -178,8 +178,10 @@ pub(super) fn tells_otherwise(measured: &Measured<'_>, trial: &Trial) -> bool {
     let Some(response) = &trial.response else { return false };
     let (Refit { spec, numbers, .. }, Response { training, held_out, .. }) = (&trial.refit, response);
     let laid = [(Part::Training, training), (Part::HeldOut, held_out)];
-    let told = [measured.learn_slow_noise(spec, numbers, laid), measured.learn_jumps(spec, laid)];
-    told.contains(&true)
+    let (jumps, drive) = (measured.learn_jumps(spec, laid), measured.learn_noise_of_drive(spec));
+    // Beside what noise in the drive does.
+    let slow = measured.learn_slow_noise(spec, numbers, laid);
+    jumps || drive || slow
 }
 
 #[cfg(test)]

@@ -150,8 +150,11 @@ impl<'a> Searcher<'a> {
         // With its jumps and the slow noise known, once more.
         let again = self.measured.as_ref().filter(|_| base.response.is_some()).and_then(|measured| {
             let settings = Settings { iterations: 6, ..Settings::default() };
-            let told = [tells_otherwise(measured, &base), measured.learn_noise_of_drive(&base.refit.spec)];
-            if told.contains(&true) { trial::respond(measured, &base, None, settings) } else { None }
+            if tells_otherwise(measured, &base) {
+                trial::respond(measured, &base, None, settings)
+            } else {
+                None
+            }
         });
         Some(again.unwrap_or(base))
     }

@@ -39,6 +39,17 @@ pub struct Window {
     pub drive_noise_m_s2: f64,
     /// Noise on a sine of the main frequency in it, m/s2 rms a sample.
     pub wave_noise_m_s2: f64,
+    /// Where what drives a simulation is known no better than it was measured.
+    pub as_measured: AsMeasured,
+}
+
+/// Samples in which what drives a simulation is known no better than it was measured, as where impacts kick the table.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct AsMeasured {
+    /// White noise in them, m/s2 rms a sample.
+    pub noise_m_s2: f64,
+    /// Samples of the record.
+    pub stretches: Vec<Range<usize>>,
 }
 
 impl Window {
@@ -56,6 +67,7 @@ impl Window {
             source: 0,
             drive_noise_m_s2: 0.0,
             wave_noise_m_s2: 0.0,
+            as_measured: AsMeasured::default(),
         }
     }
 }

@@ -2,7 +2,7 @@
 //! some Hz the table's displacement knows it better, where it was measured; where the table moves periodically, its harmonics alone are
 //! taken. Called once when a record is made ready.
 
-use super::motion::{Motion, Window};
+use super::motion::{AsMeasured, Motion, Window};
 use super::periodic::{periodic, smooth};
 use crate::parallel;
 use crate::record::{Kind, Record};
@@ -170,17 +170,27 @@ impl Motion {
         let known = parallel::map(&self.windows, parallel::cores(), |window| {
             drive_of(window, &self.drive_m_s2, rate, (of_table, &left), comes_back)
         });
-        for (window, (noise, drive)) in self.windows.iter_mut().zip(known) {
+        for (window, known) in self.windows.iter_mut().zip(known) {
             window.wave_noise_m_s2 = of_table * left.at(window.frequency_hz).sqrt();
-            window.drive_noise_m_s2 = noise;
+            window.drive_noise_m_s2 = known.noise_m_s2;
+            window.as_measured = known.as_measured;
             let range = window.warm_from..window.range.end;
-            self.drive_m_s2[range].iter_mut().zip(drive).for_each(|(to, drive)| *to = drive);
+            self.drive_m_s2[range].iter_mut().zip(known.better).for_each(|(to, drive)| *to = drive);
         }
     }
 }
 
-/// Noise that is left in what drives a window (m/s2, at the frequencies that the mass follows), and what drives it from the beginning of
-/// its warming up on where that is known better than measured; `of_table` is the noise of the table's accelerometer. What is no table
+/// What drives a window.
+struct Drive {
+    /// Noise that is left, m/s2 rms a sample, at the frequencies that the mass follows.
+    noise_m_s2: f64,
+    /// Where it is known no better than measured.
+    as_measured: AsMeasured,
+    /// From the beginning of the window's warming up on, m/s2, where anything is known better.
+    better: Vec<f64>,
+}
+
+/// What drives a window, from what was measured; `of_table` is the noise of the table's accelerometer. What is no table
 /// need not come back to where it was: an applied force may have a mean.
 fn drive_of(
     window: &Window,
@@ -188,14 +198,15 @@ fn drive_of(
     rate: f64,
     (of_table, left): (f64, &Left),
     comes_back: bool,
-) -> (f64, Vec<f64>) {
+) -> Drive {
     let follows_hz = window.frequency_hz * if window.settling { SETTLING } else { STEADILY };
     let both = of_table * left.up_to(follows_hz).sqrt();
-    let as_measured = (both, Vec::new());
+    let range = window.warm_from..window.range.end;
+    let all = AsMeasured { noise_m_s2: of_table, stretches: vec![range.clone()] };
+    let as_measured = Drive { noise_m_s2: both, as_measured: all, better: Vec::new() };
     if window.settling {
         return as_measured;
     }
-    let range = window.warm_from..window.range.end;
     let found = periodic(&measured[range.clone()], window.frequency_hz, rate, |hz| left.at(hz));
     let Some(found) = found else { return as_measured };
     let power = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
@@ -229,14 +240,37 @@ fn drive_of(
     rest.iter_mut().for_each(|rest| *rest -= mean);
     // A solver takes long steps where what drives it is smooth; the impulse of a kick is what counts.
     if rate / window.frequency_hz.max(1e-9) > LONG {
-        rest = smooth(&smooth(&rest));
+        rest = smooth_but_for_bends(&rest);
     }
     let mut drive: Vec<f64> = found.wave.iter().zip(&rest).map(|(wave, rest)| wave + rest).collect();
     if !comes_back {
         let mean = mean_of(&measured[range]) - mean_of(&drive);
         drive.iter_mut().for_each(|drive| *drive += mean);
     }
-    (noise / cycles.sqrt(), drive)
+    let kicked = found.still.iter().map(|still| !found.white || !still);
+    let stretches = stretches_of(kicked, window.warm_from);
+    let as_measured = AsMeasured { noise_m_s2: of_table / cycles.sqrt(), stretches };
+    Drive { noise_m_s2: noise / cycles.sqrt(), as_measured, better: drive }
+}
+
+/// Stretches of those samples that are meant, the first of which has this number.
+fn stretches_of(meant: impl Iterator<Item = bool>, first: usize) -> Vec<Range<usize>> {
+    let mut stretches: Vec<Range<usize>> = Vec::new();
+    for (n, _) in (first..).zip(meant).filter(|(_, meant)| *meant) {
+        match stretches.last_mut().filter(|last| last.end == n) {
+            Some(last) => last.end = n + 1,
+            None => stretches.push(n..n + 1),
+        }
+    }
+    stretches
+}
+
+/// Means over a kick's samples that leave bends as they are: what they take from a channel once is given back (twicing: Tukey, Exploratory
+/// Data Analysis, 1977). A contact of 40 ms kicks the table by a hundredth less without, which had a bumper of 3 MN/m told 0.06 % too soft.
+fn smooth_but_for_bends(channel: &[f64]) -> Vec<f64> {
+    let once = smooth(&smooth(channel));
+    let twice = smooth(&smooth(&once));
+    once.iter().zip(twice).map(|(once, twice)| 2.0 * once - twice).collect()
 }
 
 /// How much of the power of the accelerometer's noise both sensors of the table leave.
@@ -268,6 +302,7 @@ mod tests {
     use super::*;
     use rand::{Rng, SeedableRng};
     use rand_distr::StandardNormal;
+    use std::f64::consts::PI;
 
     const RATE_HZ: f64 = 2048.0;
     const STEP: usize = 8192;
@@ -394,12 +429,30 @@ mod tests {
             .map(|a| a + NOISE_M_S2 * random.sample::<f64, _>(StandardNormal))
             .collect();
         let window = Window::steady(0, hz, 0, 0..seen.len());
-        let (noise, drive) =
+        let Drive { noise_m_s2, as_measured, better } =
             drive_of(&window, &seen, RATE_HZ, (NOISE_M_S2, &Left { crossover_rad_s: 0.0 }), true);
-        assert!(noise < 0.5 * NOISE_M_S2, "{noise} m/s2");
-        let mean = drive.iter().sum::<f64>() / drive.len() as f64;
+        assert!(noise_m_s2 < 0.5 * NOISE_M_S2, "{noise_m_s2} m/s2");
+        let mean = better.iter().sum::<f64>() / better.len() as f64;
         // By white noise in a twelfth of the samples alone it would be off by some 6e-5 m/s2.
         assert!(mean.abs() < 5e-6, "{mean} m/s2");
+        // Every kick is known as well as its mean over six cycles, and what lies between them better.
+        let expected = NOISE_M_S2 / 6.0_f64.sqrt();
+        assert!((as_measured.noise_m_s2 / expected - 1.0).abs() < 0.02, "{}", as_measured.noise_m_s2);
+        let is_kicked = |n: usize| kick((n as f64 * hz / RATE_HZ).fract()) != 0.0;
+        let meant = |n: usize| as_measured.stretches.iter().any(|stretch| stretch.contains(&n));
+        assert!((0..seen.len()).filter(|n| is_kicked(*n)).all(meant), "{:?}", as_measured.stretches);
+        let between = (0..seen.len()).filter(|n| !meant(*n)).count();
+        assert!(between > 3 * seen.len() / 4, "{between} of {}", seen.len());
+    }
+
+    #[test]
+    fn a_smoothed_kick_is_as_large_as_before() {
+        let kick = |n: usize| if (40..124).contains(&n) { (PI * (n - 40) as f64 / 84.0).sin() } else { 0.0 };
+        let seen: Vec<f64> = (0..164).map(kick).collect();
+        let (impulse, smooth) = (seen.iter().sum::<f64>(), smooth_but_for_bends(&seen));
+        assert!((smooth.iter().sum::<f64>() / impulse - 1.0).abs() < 1e-9);
+        // Whose middle a mean over a tenth of it takes 1 % off.
+        assert!((smooth[82] - 1.0).abs() < 5e-4, "{}", smooth[82]);
     }
 
     #[test]

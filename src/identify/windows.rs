@@ -69,7 +69,7 @@ fn judging(motion: &Motion, windows: &[Window]) -> Vec<usize> {
 }
 
 /// Largest displacement of the mass in so many samples, m.
-fn largest_m(motion: &Motion, samples: &Range<usize>) -> f64 {
+pub(super) fn largest_m(motion: &Motion, samples: &Range<usize>) -> f64 {
     motion.displacement_m[samples.clone()].iter().fold(0.0_f64, |top, d| top.max(d.abs()))
 }
 

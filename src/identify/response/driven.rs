@@ -1,140 +1,146 @@
-//! Noise in what drives a step that is no sine - an earthquake, random noise -: nothing tells it from the motion, and the mass answers it
-//! as a resonator does, in both channels and over many cycles. Residuals and slopes are made white there, as what is left of them
-//! when a filter along the linearised motion has said what the noise has done so far. The search has it told with the jumps.
+//! Noise in what drives a step: all of an earthquake's or of random noise, whose motion nothing tells from it, and that of the table's
+//! accelerometer where impacts kick the table. The mass answers it as a resonator does, in both channels and over many cycles, and a
+//! bumper makes much of it. Residuals and slopes are made white there. The search has it told with the jumps.
 
+use super::innovations::{Along, Innovations, Slope};
 use super::{Measured, QUIET, Window};
 use crate::identify::least_squares::dot;
-use crate::identify::motion::Motion;
+use crate::identify::motion::{AsMeasured, Motion};
 use crate::model::ModelSpec;
-use crate::model::system::Oscillation;
+use crate::parallel;
 use crate::record::Kind;
+use std::sync::Arc;
 
 /// The least deviation of the zero of the table's acceleration.
 const LEAST_ZERO_M_S2: f64 = 1e-6;
 
-/// What an isolator and its bumpers do beside a displacement: restoring acceleration over displacement (1/s2) and velocity (1/s).
-type Slope = [f64; 2];
-
-/// Innovations of the errors that noise in the drive makes in A and D (Kalman 1960; as residuals of a prediction error method:
-/// Ljung, System Identification, 2nd ed. 1999, ch. 7). Errors of displacement and velocity start from nothing: the state at the start of
-/// a step is estimated beside it.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Innovations {
-    /// Over the noise of D.
-    of_d: f64,
-    samples: Vec<Sample>,
+/// Noise in what drives a window, told.
+#[derive(Debug)]
+pub(super) struct Driven {
+    along: Arc<Along>,
+    /// What it does.
+    alone: Arc<Innovations>,
+    /// The same where there is slow noise of the displacement sensor.
+    beside_slow: Option<Innovations>,
 }
 
-/// One sample: what becomes of the errors of displacement and velocity until then, what the error in A is to them, and gain and inverse
-/// deviation of both channels.
-#[derive(Clone, Debug)]
-struct Sample {
-    later: Oscillation,
-    of_a: [f64; 2],
-    gain_a: [f64; 2],
-    gain_d: [f64; 2],
-    over: [f64; 2],
-}
+/// The same of every window, where there is any; no window before it was told.
+pub(super) type OfWindows = Vec<Option<Arc<Driven>>>;
 
-/// Errors of displacement and velocity a sample later.
-fn after(later: &Oscillation, [d, v]: [f64; 2]) -> [f64; 2] {
-    later.after(d, v, 0.0, 0.0).into()
-}
-
-impl Innovations {
-    /// Along a motion with such slopes: deviation of the drive's noise, of A's and D's, and where A counts.
-    fn new(slopes: &[Slope], counts: &[bool], [drive, a, d]: [f64; 3], dt: f64) -> Self {
-        // Covariance of the errors: displacement, both, velocity.
-        let mut p = [0.0; 3];
-        let (of_d, grows) = (1.0 / d, (drive * dt).powi(2));
-        let seen = |p: &mut [f64; 3], h: [f64; 2]| -> ([f64; 2], f64) {
-            let through = [p[0] * h[0] + p[1] * h[1], p[1] * h[0] + p[2] * h[1]];
-            let variance = 1.0 + h[0] * through[0] + h[1] * through[1];
-            let gain = through.map(|x| x / variance);
-            p[0] -= gain[0] * through[0];
-            p[1] -= gain[0] * through[1];
-            p[2] -= gain[1] * through[1];
-            (gain, 1.0 / variance.sqrt())
-        };
-        // Slopes change from one branch to another alone.
-        let mut at = ([f64::NAN; 2], Oscillation::default());
-        let samples = slopes.iter().zip(counts).map(|(&slope, &counts)| {
-            if slope != at.0 {
-                at = (slope, Oscillation::new(slope[0], slope[1], dt));
-            }
-            let later = at.1;
-            // Columns of the transition, then the covariance through it.
-            let (c, e) = (after(&later, [1.0, 0.0]), after(&later, [0.0, 1.0]));
-            let through =
-                |x: usize, y: usize| c[x] * (c[y] * p[0] + e[y] * p[1]) + e[x] * (c[y] * p[1] + e[y] * p[2]);
-            p = [through(0, 0), through(0, 1), through(1, 1) + grows];
-            let of_a = slope.map(|s| -s / a);
-            let (gain_a, over_a) = if counts { seen(&mut p, of_a) } else { ([0.0; 2], 0.0) };
-            let (gain_d, over_d) = seen(&mut p, [of_d, 0.0]);
-            Sample { later, of_a, gain_a, gain_d, over: [over_a, over_d] }
-        });
-        Self { of_d, samples: samples.collect() }
+impl Driven {
+    /// As it is known now.
+    pub(super) fn innovations(&self) -> &Innovations {
+        self.beside_slow.as_ref().unwrap_or(&self.alone)
     }
 
-    /// Takes the place of both channels, A before D, in units of their noise.
-    fn whiten(&self, channels: &mut [f64]) {
-        let n = self.samples.len().min(channels.len() / 2);
-        let (in_a, in_d) = channels.split_at_mut(n);
-        let mut error = [0.0; 2];
-        for ((sample, a), d) in self.samples.iter().zip(in_a).zip(in_d) {
-            error = after(&sample.later, error);
-            let left_a = *a - sample.of_a[0] * error[0] - sample.of_a[1] * error[1];
-            (0..2).for_each(|i| error[i] += sample.gain_a[i] * left_a);
-            let left_d = *d - self.of_d * error[0];
-            (0..2).for_each(|i| error[i] += sample.gain_d[i] * left_d);
-            [*a, *d] = [sample.over[0] * left_a, sample.over[1] * left_d];
-        }
+    /// Beside slow noise of the displacement sensor that grows by so much variance a sample.
+    pub(super) fn beside(&self, growth: f64) -> Innovations {
+        Innovations::new(&self.along, growth)
     }
 }
 
 impl Measured<'_> {
     /// Tells what noise in the drive does beside the motion of a fitted model. Once; says whether there is any.
     pub fn learn_noise_of_drive(&self, spec: &ModelSpec) -> bool {
-        let noisy =
-            |window: &Window| window.random && window.drive_noise_m_s2 > QUIET * self.table_noise_m_s2;
-        if self.driven.get().is_some() || !self.motion.windows.iter().any(noisy) {
+        if !self.driven().is_empty() {
             return false;
         }
-        let motion = self.motion;
         let of = |window: &Window| {
-            if !noisy(window) {
-                return None;
-            }
-            let spec = motion.sources[window.source].setting.of(spec);
-            let range = window.range.clone();
-            let slopes: Vec<Slope> =
-                motion.displacement_m[range.clone()].iter().map(|d| slope(&spec, *d)).collect();
-            let displacement = if self.sees_displacement { motion.laser_noise_m } else { f64::INFINITY };
-            let noises = [window.drive_noise_m_s2, motion.restoring_noise_m_s2, displacement];
-            Some(Innovations::new(&slopes, &self.counts()[range], noises, motion.dt_s()))
+            let along = self.noisy_along(window, spec)?;
+            let alone = Arc::new(Innovations::new(&along, 0.0));
+            Some(Arc::new(Driven { along: Arc::new(along), alone, beside_slow: None }))
         };
-        self.driven.set(motion.windows.iter().map(of).collect()).is_ok()
+        let told = parallel::map(&self.motion.windows, parallel::cores(), of);
+        let any = told.iter().any(Option::is_some);
+        self.tell_driven(told);
+        any
+    }
+
+    /// Has it beside slow noise of each record's displacement sensor that grows by so much variance a sample.
+    pub(super) fn noise_of_drive_beside(&self, growths: &[f64]) {
+        let told = self.driven();
+        let each: Vec<_> = told.iter().zip(&self.motion.windows).collect();
+        let beside = parallel::map(&each, parallel::cores(), |(driven, window)| {
+            let driven = driven.as_ref()?;
+            let growth = growths.get(window.source).copied().unwrap_or(0.0);
+            let beside_slow = (growth > 0.0).then(|| driven.beside(growth));
+            let (along, alone) = (driven.along.clone(), driven.alone.clone());
+            Some(Arc::new(Driven { along, alone, beside_slow }))
+        });
+        self.tell_driven(beside);
+    }
+
+    fn tell_driven(&self, told: OfWindows) {
+        if let Ok(mut now) = self.driven.write() {
+            *now = Arc::new(told);
+        }
+    }
+
+    /// The motion of a window where there is noise in what drives it.
+    fn noisy_along(&self, window: &Window, spec: &ModelSpec) -> Option<Along> {
+        let motion = self.motion;
+        let drive_m_s2 = self.noise_of_drive(window)?;
+        let spec = motion.sources[window.source].setting.of(spec);
+        let range = window.range.clone();
+        Some(Along {
+            slopes: motion.displacement_m[range.clone()].iter().map(|d| slope(&spec, *d)).collect(),
+            counts: self.counts()[range].to_vec(),
+            drive_m_s2,
+            noise_of_a_m_s2: motion.restoring_noise_m_s2,
+            noise_of_d_m: if self.sees_displacement { motion.laser_noise_m } else { f64::INFINITY },
+            dt_s: motion.dt_s(),
+        })
+    }
+
+    /// Noise of what drives each sample of a window, m/s2; nothing where it is known better everywhere.
+    fn noise_of_drive(&self, window: &Window) -> Option<Vec<f64>> {
+        let samples = window.range.len();
+        if window.random {
+            let noise_m_s2 = window.drive_noise_m_s2;
+            return (noise_m_s2 > QUIET * self.table_noise_m_s2).then(|| vec![noise_m_s2; samples]);
+        }
+        let AsMeasured { noise_m_s2, stretches } = &window.as_measured;
+        if self.motion.kind != Kind::Base || window.settling || stretches.is_empty() {
+            return None;
+        }
+        let mut drive = vec![0.0; samples];
+        for stretch in stretches {
+            let place = |n: usize| n.saturating_sub(window.range.start).min(samples);
+            drive[place(stretch.start)..place(stretch.end)].fill(*noise_m_s2);
+        }
+        Some(drive)
     }
 
     /// Makes both channels of a step white.
     pub(super) fn whiten(&self, window: &Window, channels: &mut [f64]) {
-        match self.innovations(window) {
-            Some(innovations) => innovations.whiten(channels),
+        match self.driven_in(window) {
+            Some(driven) => driven.innovations().whiten(&self.counts()[window.range.clone()], channels),
             None => self.whiten_displacement(window.source, &mut channels[window.range.len()..]),
         }
     }
 
     /// Takes from both channels of a step what noise in the drive has done: what is left is as much as their own noise.
     pub(super) fn follow_drive(&self, window: &Window, channels: &mut [f64]) {
-        if let Some(innovations) = self.innovations(window) {
-            innovations.whiten(channels);
+        if let Some(driven) = self.driven_in(window) {
+            driven.alone.whiten(&self.counts()[window.range.clone()], channels);
         }
     }
 
-    fn innovations(&self, window: &Window) -> Option<&Innovations> {
-        let all = self.driven.get().filter(|_| window.random)?;
+    /// Whether noise drives a record that has no steady steps.
+    pub(super) fn is_driven_at_random(&self) -> bool {
+        let told = self.driven();
+        told.iter().zip(&self.motion.windows).any(|(driven, window)| window.random && driven.is_some())
+    }
+
+    fn driven(&self) -> Arc<OfWindows> {
+        self.driven.read().map(|driven| driven.clone()).unwrap_or_default()
+    }
+
+    /// Noise in what drives a window; nothing where there is none, or before it was told.
+    pub(super) fn driven_in(&self, window: &Window) -> Option<Arc<Driven>> {
+        let all = self.driven();
         let index = self.motion.windows.iter().position(|w| std::ptr::eq(w, window))?;
-        all.get(index)?.as_ref()
+        all.get(index)?.clone()
     }
 }
 
@@ -169,41 +175,73 @@ fn slope(spec: &ModelSpec, displacement_m: f64) -> Slope {
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::{fitted, off};
     use super::*;
+    use crate::diagnose::testing::seen;
+    use crate::identify::kinematics::Tolerances;
+    use crate::identify::problem::Part;
     use rand::{SeedableRng, prelude::Distribution};
+    use std::f64::consts::TAU;
+
+    /// A motion with noise of 0.02 m/s2 in a quarter of what drives it, as where impacts kick the table; and the same with those samples told.
+    fn kicked(seed: u64) -> [Motion; 2] {
+        let mut motion = Motion::of(&seen(&off(), seed), 500.0, Tolerances::default()).expect("a motion");
+        let mut random = rand_pcg::Pcg64::seed_from_u64(seed);
+        let normal = rand_distr::Normal::new(0.0, 0.02).expect("valid");
+        let is_kicked = |n: &usize| n % 400 < 100;
+        let samples = motion.drive_m_s2.iter_mut().enumerate();
+        samples.filter(|(n, _)| is_kicked(n)).for_each(|(_, a)| *a += normal.sample(&mut random));
+        let mut told = motion.clone();
+        for window in &mut told.windows {
+            let stretches =
+                (window.warm_from..window.range.end).filter(is_kicked).map(|n| n..n + 1).collect();
+            window.as_measured = AsMeasured { noise_m_s2: 0.02, stretches };
+        }
+        [motion, told]
+    }
 
     #[test]
-    fn what_noise_in_the_drive_does_is_made_white() {
-        let (dt, n, slope) = (1e-3, 60_000, [650.0, 2.5]);
-        let noises = [0.02, 7e-3, 8e-6];
-        let later = Oscillation::new(slope[0], slope[1], dt);
-        let mut random = rand_pcg::Pcg64::seed_from_u64(5);
-        let mut normal = || -> f64 { rand_distr::StandardNormal.sample(&mut random) };
-        let mut error = [0.0; 2];
-        let (mut a, mut d) = (Vec::new(), Vec::new());
-        for _ in 0..n {
-            error = after(&later, error);
-            error[1] += noises[0] * dt * normal();
-            a.push((-slope[0] * error[0] - slope[1] * error[1]) / noises[1] + normal());
-            d.push(error[0] / noises[2] + normal());
-        }
-        let covariance = |x: &[f64], lag: usize| dot(&x[lag..], &x[..x.len() - lag]) / x.len() as f64;
-        assert!(covariance(&d, 4) > 0.5, "{}", covariance(&d, 4));
-        let mut counts = vec![true; n];
-        counts[1000..1010].fill(false);
-        a[1000..1010].fill(0.0);
-        let mut white = [a, d].concat();
-        let innovations = Innovations::new(&vec![slope; n], &counts, noises, dt);
-        innovations.whiten(&mut white);
-        for channel in white.chunks(n) {
-            assert!((covariance(channel, 0) - 1.0).abs() < 5.0 * (2.0 / n as f64).sqrt());
-            for lag in [1, 4, 30, 250, 2000] {
-                let found = covariance(channel, lag);
-                assert!(found.abs() < 5.0 / (n as f64).sqrt(), "{lag}: {found}");
+    fn noise_in_what_drives_a_step_is_followed_where_it_is() {
+        let excess = |motion: &Motion| {
+            let measured = Measured::new(motion).expect("a base record");
+            let told = measured.learn_noise_of_drive(&fitted(&measured).0);
+            let (spec, _, laid) = fitted(&measured);
+            (told, measured.left(&spec, Part::Training, &laid).expect("finite").excess)
+        };
+        let [(told_without, unseen), (told, followed)] = kicked(14).map(|motion| excess(&motion));
+        assert!(!told_without && told);
+        assert!(unseen > 0.02 && followed < 0.3 * unseen, "{unseen} {followed}");
+    }
+
+    #[test]
+    fn slow_noise_of_the_displacement_is_told_beside_noise_in_what_drives_a_step() {
+        let slow_hz = |motion: &Motion| {
+            let measured = Measured::new(motion).expect("a base record");
+            measured.learn_noise_of_drive(&fitted(&measured).0);
+            // It tells itself beside what was told before.
+            for _ in 0..2 {
+                let (spec, numbers, laid) = fitted(&measured);
+                let held_out = measured.judge(&spec, &numbers, &laid).expect("finite");
+                measured.learn_slow_noise(
+                    &spec,
+                    &numbers,
+                    [(Part::Training, &laid), (Part::HeldOut, &held_out)],
+                );
             }
+            measured.slow_noise_hz().first().copied().unwrap_or(0.0)
+        };
+        let [unseen, told] = kicked(15);
+        let (mistaken_hz, none_hz) = (slow_hz(&unseen), slow_hz(&told));
+        let mut random = rand_pcg::Pcg64::seed_from_u64(15);
+        let mut drifting = told.clone();
+        let (mut walk_m, growth_m) = (0.0, drifting.laser_noise_m * TAU * 2.0 * drifting.dt_s());
+        for x in &mut drifting.laser_m {
+            let normal: f64 = rand_distr::StandardNormal.sample(&mut random);
+            walk_m += growth_m * normal;
+            *x += walk_m;
         }
-        assert!(white[1000..1010].iter().all(|x| *x == 0.0));
-        let across = dot(&white[..n], &white[n..]) / n as f64;
-        assert!(across.abs() < 5.0 / (n as f64).sqrt(), "{across}");
+        let told_hz = slow_hz(&drifting);
+        assert!(none_hz < 0.2 && mistaken_hz > 0.5, "{none_hz} Hz where there is none, {mistaken_hz} Hz");
+        assert!((1.0..4.0).contains(&told_hz), "{told_hz} Hz of 2 Hz");
     }
 }

@@ -48,7 +48,7 @@ impl Measured<'_> {
     /// but not beside noise that has been told with them. Says whether they are others than before.
     pub fn learn_jumps(&self, spec: &ModelSpec, laid: [(Part, &Laid); 2]) -> bool {
         let before = self.told.read().map(|told| told.clone()).unwrap_or_default();
-        if self.coarse || before.is_some() && self.driven.get().is_some() {
+        if self.coarse || before.is_some() && self.is_driven_at_random() {
             return false;
         }
         let Some(mut specimens) = self.specimens(spec) else { return false };

@@ -9,6 +9,7 @@
 mod columns;
 mod descent;
 mod driven;
+mod innovations;
 mod jumps;
 mod left;
 mod memory;
@@ -27,7 +28,7 @@ pub use left::Left;
 pub use tangent::{Score, Tangent};
 pub use until::Until;
 
-use driven::{Innovations, zero_of_table_m_s2};
+use driven::{OfWindows, zero_of_table_m_s2};
 use jumps::beside_jumps;
 pub(super) use jumps::{are_too_many, beside_jumps_of_few_samples};
 use slow::Slow;
@@ -39,6 +40,7 @@ use super::motion::{Motion, Window};
 use super::numbers::Numbers;
 use super::problem::{DRIFT, Part};
 use super::refit::{with_zero, zero_sigma_m};
+use super::windows::largest_m;
 use crate::model::ModelSpec;
 use crate::parallel;
 use crate::record::Kind;
@@ -103,7 +105,7 @@ pub struct Measured<'a> {
     /// Slow noise of each record's displacement sensor, when a fitted model has told it.
     slow: Arc<RwLock<Arc<Vec<Slow>>>>,
     /// What noise in what drives each window does, when a fitted model has told it.
-    driven: Arc<OnceLock<Vec<Option<Innovations>>>>,
+    driven: Arc<RwLock<Arc<OfWindows>>>,
     /// What a springpot remembers at the beginning of each window.
     remembered: Arc<OnceLock<Vec<Vec<f64>>>>,
 }
@@ -179,7 +181,11 @@ impl<'a> Measured<'a> {
             let samples: usize =
                 all.iter().map(|k| motion.windows[*k].range.end - motion.windows[*k].warm_from).sum();
             let every = samples.div_ceil(SAMPLES * motion.sources.len().max(1)).max(1);
-            let kept = |(i, k): (usize, usize)| (i % every == 0 || motion.windows[k].settling).then_some(k);
+            // A fit tells by the one in which the mass goes farthest what it does not by any other.
+            let reaches = |k: &usize| largest_m(motion, &motion.windows[*k].range);
+            let farthest = all.iter().copied().max_by(|a, b| reaches(a).total_cmp(&reaches(b)));
+            let needed = |k: usize| motion.windows[k].settling || !held_out && Some(k) == farthest;
+            let kept = |(i, k): (usize, usize)| (i % every == 0 || needed(k)).then_some(k);
             all.into_iter().enumerate().filter_map(kept).collect()
         };
         let [of_laser, of_accelerometers, leak_sigma] = gains_and_leak(motion).map(|sigma| sigma.max(1e-6));
@@ -305,7 +311,7 @@ impl<'a> Measured<'a> {
             + 1
     }
 
-    /// Offsets of what drives a step: one in each half cycle, where it is noisy; more where that is all there is to tell a number by,
+    /// Offsets of what drives a step: one in each half cycle, where an applied force is noisy; more where that is all there is to tell a number by,
     /// since noise within half a slow cycle moves the mass by more than the displacement sensor's.
     fn offsets(&self, window: &Window) -> usize {
         if window.random {
@@ -314,7 +320,8 @@ impl<'a> Measured<'a> {
         if window.settling {
             return FINE * (self.knots(window) - 1);
         }
-        let noisy = window.drive_noise_m_s2 > QUIET * self.table_noise_m_s2;
+        // Of a base record a filter follows it.
+        let noisy = self.is_forced() && window.drive_noise_m_s2 > QUIET * self.table_noise_m_s2;
         let half_cycles = 2 * (self.knots(window) - 1);
         if noisy && half_cycles <= OFFSETS { half_cycles } else { 0 }
     }

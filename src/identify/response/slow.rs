@@ -31,6 +31,10 @@ const ROUNDS: usize = 8;
 const STEPS: usize = 24;
 /// Share of its last variance at which a walk has settled.
 const SETTLED: f64 = 0.9999;
+/// Beside noise in what drives a step, every so manieth corner is looked at.
+const SPARSE: usize = 4;
+/// Nats that slow noise has to bring there.
+const LEAST: f64 = 3.0;
 /// Columns that say the same are told apart by no more than this.
 const ALIKE: f64 = 1e-9;
 
@@ -93,6 +97,8 @@ impl Whitening {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Slow {
     corner_hz: f64,
+    /// Variance that it grows by, a sample, over that of the white noise.
+    growth: f64,
     whitening: Whitening,
 }
 
@@ -101,6 +107,13 @@ impl Measured<'_> {
     pub(super) fn whiten_displacement(&self, source: usize, displacement: &mut [f64]) {
         if let Some(slow) = self.slow().get(source) {
             slow.whitening.whiten(displacement);
+        }
+    }
+
+    /// What was made white of a step, as it was.
+    pub(super) fn restore_displacement(&self, source: usize, displacement: &mut [f64]) {
+        if let Some(slow) = self.slow().get(source) {
+            slow.whitening.restore(displacement);
         }
     }
 
@@ -123,6 +136,7 @@ impl Measured<'_> {
         let corners: Vec<f64> =
             [0.0].into_iter().chain((0..CORNERS).map(|i| lowest_hz * NEXT.powi(i))).collect();
         let mut told: Vec<Vec<Vec<f64>>> = vec![Vec::new(); self.records()];
+        let noisy = self.motion.windows.iter().any(|w| !w.random && self.driven_in(w).is_some());
         for (part, laid) in laid {
             let Some((_, steps)) = self.lay(spec, part, &laid.values, &laid.nuisances) else { return false };
             let free = self.free(numbers, 0.0);
@@ -145,8 +159,9 @@ impl Measured<'_> {
         let slow: Vec<Slow> = told
             .iter()
             .map(|profiles| {
-                let corner_hz = corners[agreed(profiles)];
-                Slow { corner_hz, whitening: Whitening::new((TAU * corner_hz / rate).powi(2)) }
+                let corner_hz = corners[agreed(profiles, if noisy { LEAST } else { 0.0 })];
+                let growth = (TAU * corner_hz / rate).powi(2);
+                Slow { corner_hz, growth, whitening: Whitening::new(growth) }
             })
             .collect();
         let before = self.slow();
@@ -156,6 +171,7 @@ impl Measured<'_> {
         };
         let changed = slow.iter().enumerate().any(another);
         if changed && let Ok(mut now) = self.slow.write() {
+            self.noise_of_drive_beside(&slow.iter().map(|slow| slow.growth).collect::<Vec<_>>());
             *now = Arc::new(slow);
         }
         changed
@@ -175,26 +191,33 @@ impl Measured<'_> {
             return None;
         }
         let rate = self.motion.sample_rate_hz;
-        let block = ((rate / window.frequency_hz.max(1e-9) / A_CYCLE) as usize).max(1);
+        // Beside noise in what drives a step both channels tell it, and every sample; else means of D do.
+        let driven = self.driven_in(window);
+        let of_cycle = (rate / window.frequency_hz.max(1e-9) / A_CYCLE) as usize;
+        let block = if driven.is_some() { 1 } else { of_cycle.max(1) };
         let means = |channel: &[f64]| -> Vec<f64> {
             channel.chunks_exact(block).map(|c| c.iter().sum::<f64>() / (block as f64).sqrt()).collect()
         };
-        // As it was before it was made white.
-        let now = self.slow();
         let seen = |white: &[f64]| {
-            let mut channel = white[n..].to_vec();
-            if let Some(slow) = now.get(window.source) {
-                slow.whitening.restore(&mut channel);
+            let mut channels = white.to_vec();
+            if let Some(driven) = &driven {
+                driven.innovations().restore(&mut channels);
+                return channels;
             }
-            means(&channel)
+            self.restore_displacement(window.source, &mut channels[n..]);
+            means(&channels[n..])
         };
         let residual = seen(&step.residuals);
         let (_, beside) = self.columns(job, step, own, None);
         let mut columns: Vec<Vec<f64>> = beside.iter().map(|column| seen(column)).collect();
+        let of_a = if driven.is_some() { n } else { 0 };
         for harmonic in 1..=HARMONICS {
             let turn = TAU * f64::from(harmonic) * window.frequency_hz * block as f64 / rate;
-            columns.push((0..residual.len()).map(|i| (turn * i as f64).cos()).collect());
-            columns.push((0..residual.len()).map(|i| (turn * i as f64).sin()).collect());
+            let of_d = |wave: fn(f64) -> f64| {
+                let along = (0..residual.len() - of_a).map(|i| wave(turn * i as f64));
+                std::iter::repeat_n(0.0, of_a).chain(along).collect()
+            };
+            columns.extend([of_d(f64::cos), of_d(f64::sin)]);
         }
         columns.retain(|column| dot(column, column) > 0.0);
         if residual.len() < 2 * columns.len() {
@@ -204,46 +227,80 @@ impl Measured<'_> {
             let size = dot(column, column).sqrt();
             column.iter_mut().for_each(|x| *x /= size);
         }
+        let counts = self.counts();
         let likelihood = |corner: &f64| {
             // Means of stretches walk as far as the samples do.
-            let whitening = Whitening::new((TAU * corner / rate * block as f64).powi(2));
-            let white = |channel: &Vec<f64>| {
-                let mut channel = channel.clone();
-                whitening.whiten(&mut channel);
-                channel
-            };
-            let (of, along) = (white(&residual), columns.iter().map(white).collect::<Vec<_>>());
-            let mut gram = gram(&along);
-            (0..along.len()).for_each(|i| gram[(i, i)] *= 1.0 + ALIKE);
-            let slope = DVector::from_fn(along.len(), |i, _| dot(&along[i], &of));
-            let root = gram.cholesky()?;
-            let square = dot(&of, &of) - slope.dot(&root.solve(&slope));
-            let determinant = 2.0 * root.l_dirty().diagonal().iter().map(|x| x.ln()).sum::<f64>();
-            Some(-0.5 * (whitening.log_determinant(of.len()) + determinant + square))
+            let growth = (TAU * corner / rate * block as f64).powi(2);
+            match &driven {
+                Some(driven) => {
+                    let innovations = driven.beside(growth);
+                    let counts = &counts[window.range.clone()];
+                    let white = |channels: &mut [f64]| innovations.whiten(counts, channels);
+                    restricted(&residual, &columns, white, innovations.log_determinant())
+                }
+                None => {
+                    let whitening = Whitening::new(growth);
+                    let white = |channel: &mut [f64]| whitening.whiten(channel);
+                    restricted(&residual, &columns, white, whitening.log_determinant(residual.len()))
+                }
+            }
         };
-        corners.iter().map(likelihood).collect()
+        if driven.is_none() {
+            return corners.iter().map(likelihood).collect();
+        }
+        let coarse: Vec<f64> =
+            corners.iter().step_by(SPARSE).chain(corners.last()).map(likelihood).collect::<Option<_>>()?;
+        let between = |i: usize| {
+            let (left, share) = (i / SPARSE, (i % SPARSE) as f64 / SPARSE as f64);
+            coarse[left] + share * (coarse[left + 1] - coarse[left])
+        };
+        Some((0..corners.len()).map(between).collect())
     }
 }
 
-/// The number of the corner that most of the steps agree on: the first, which is none, without any.
-fn agreed(profiles: &[Vec<f64>]) -> usize {
+/// Restricted log-likelihood of a channel beside columns, from what makes them white and the logarithm of the determinant of its covariance.
+fn restricted(
+    channel: &[f64],
+    columns: &[Vec<f64>],
+    white: impl Fn(&mut [f64]),
+    log_determinant: f64,
+) -> Option<f64> {
+    let whitened = |channel: &[f64]| {
+        let mut channel = channel.to_vec();
+        white(&mut channel);
+        channel
+    };
+    let of = whitened(channel);
+    let along: Vec<Vec<f64>> = columns.iter().map(|column| whitened(column)).collect();
+    let mut gram = gram(&along);
+    (0..along.len()).for_each(|i| gram[(i, i)] *= 1.0 + ALIKE);
+    let slope = DVector::from_fn(along.len(), |i, _| dot(&along[i], &of));
+    let root = gram.cholesky()?;
+    let square = dot(&of, &of) - slope.dot(&root.solve(&slope));
+    let determinant = 2.0 * root.l_dirty().diagonal().iter().map(|x| x.ln()).sum::<f64>();
+    Some(-0.5 * (log_determinant + determinant + square))
+}
+
+/// The number of the corner that most of the steps agree on: the first, which is none, without any, and where it brings too few nats.
+fn agreed(profiles: &[Vec<f64>], least: f64) -> usize {
     let best =
         |profile: &[f64]| (0..profile.len()).max_by(|a, b| profile[*a].total_cmp(&profile[*b])).unwrap_or(0);
     let mut each: Vec<usize> = profiles.iter().map(|profile| best(profile)).collect();
     each.sort_unstable();
-    let mut found = each.get(each.len() / 2).copied().unwrap_or(0);
+    let (mut found, mut gained) = (each.get(each.len() / 2).copied().unwrap_or(0), 0.0);
     for _ in 0..ROUNDS {
         let agrees = |profile: &&Vec<f64>| profile[best(profile)] - profile[found] < ASTRAY;
         let together = profiles.iter().filter(agrees).fold(Vec::new(), |sum: Vec<f64>, profile| {
             profile.iter().enumerate().map(|(i, x)| x + sum.get(i).unwrap_or(&0.0)).collect()
         });
         let next = best(&together);
+        gained = together.get(next).zip(together.first()).map_or(0.0, |(with, without)| with - without);
         if next == found {
             break;
         }
         found = next;
     }
-    found
+    if gained < least { 0 } else { found }
 }
 
 #[cfg(test)]
@@ -291,7 +348,9 @@ mod tests {
     #[test]
     fn steps_agree_on_what_most_of_them_have() {
         let of = |best: f64, nats: f64| (0..20).map(|i| -nats * (f64::from(i) - best).powi(2)).collect();
-        assert_eq!(agreed(&[of(5.0, 0.1), of(7.0, 0.1), of(6.0, 0.1), of(19.0, 3.0)]), 6);
-        assert_eq!(agreed(&[]), 0);
+        let profiles = [of(5.0, 0.1), of(7.0, 0.1), of(6.0, 0.1), of(19.0, 3.0)];
+        // It brings 10.8 nats in the three that agree.
+        assert_eq!([0.0, 10.0, 11.0].map(|least| agreed(&profiles, least)), [6, 6, 0]);
+        assert_eq!(agreed(&[], 0.0), 0);
     }
 }
