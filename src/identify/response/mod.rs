@@ -181,10 +181,11 @@ impl<'a> Measured<'a> {
             let samples: usize =
                 all.iter().map(|k| motion.windows[*k].range.end - motion.windows[*k].warm_from).sum();
             let every = samples.div_ceil(SAMPLES * motion.sources.len().max(1)).max(1);
-            // A fit tells by the one in which the mass goes farthest what it does not by any other.
+            // Of a whole sweep the one in which the mass goes farthest tells what none of the few does that are left.
             let reaches = |k: &usize| largest_m(motion, &motion.windows[*k].range);
             let farthest = all.iter().copied().max_by(|a, b| reaches(a).total_cmp(&reaches(b)));
-            let needed = |k: usize| motion.windows[k].settling || !held_out && Some(k) == farthest;
+            let few = !held_out && motion.displacement_m.len() > LONG;
+            let needed = |k: usize| motion.windows[k].settling || few && Some(k) == farthest;
             let kept = |(i, k): (usize, usize)| (i % every == 0 || needed(k)).then_some(k);
             all.into_iter().enumerate().filter_map(kept).collect()
         };

@@ -4,6 +4,7 @@
 
 use super::columns::Job;
 use super::descent::Fitted;
+use super::driven::Driven;
 use super::{Laid, Measured, ROBUST, Step};
 use crate::identify::least_squares::{dot, gram};
 use crate::identify::numbers::Numbers;
@@ -32,7 +33,8 @@ const STEPS: usize = 24;
 /// Share of its last variance at which a walk has settled.
 const SETTLED: f64 = 0.9999;
 /// Beside noise in what drives a step, every so manieth corner is looked at.
-const SPARSE: usize = 4;
+const SPARSE: usize = 2;
+const _: () = assert!((CORNERS as usize).is_multiple_of(SPARSE));
 /// Nats that slow noise has to bring there.
 const LEAST: f64 = 3.0;
 /// Columns that say the same are told apart by no more than this.
@@ -185,77 +187,89 @@ impl Measured<'_> {
         own: &[f64],
         corners: &[f64],
     ) -> Option<Vec<f64>> {
-        let (window, n) = (step.window, step.simulated.len());
+        let window = step.window;
         let far = dot(&step.residuals, &step.residuals) > ROBUST * self.count(window) as f64;
         if far || window.settling || window.random {
             return None;
         }
-        let rate = self.motion.sample_rate_hz;
-        // Beside noise in what drives a step both channels tell it, and every sample; else means of D do.
-        let driven = self.driven_in(window);
-        let of_cycle = (rate / window.frequency_hz.max(1e-9) / A_CYCLE) as usize;
-        let block = if driven.is_some() { 1 } else { of_cycle.max(1) };
-        let means = |channel: &[f64]| -> Vec<f64> {
+        let (_, beside) = self.columns(job, step, own, None);
+        match self.driven_in(window) {
+            Some(driven) => self.profile_beside(&driven, step, &beside, corners),
+            None => self.profile_of_displacement(step, &beside, corners),
+        }
+    }
+
+    /// The same from the displacement alone, by its means over some samples, beside what belongs to the step.
+    fn profile_of_displacement(
+        &self,
+        step: &Step<'_>,
+        beside: &[Vec<f64>],
+        corners: &[f64],
+    ) -> Option<Vec<f64>> {
+        let (window, n, rate) = (step.window, step.simulated.len(), self.motion.sample_rate_hz);
+        let block = ((rate / window.frequency_hz.max(1e-9) / A_CYCLE) as usize).max(1);
+        let seen = |white: &[f64]| -> Vec<f64> {
+            let mut channel = white[n..].to_vec();
+            self.restore_displacement(window.source, &mut channel);
             channel.chunks_exact(block).map(|c| c.iter().sum::<f64>() / (block as f64).sqrt()).collect()
         };
-        let seen = |white: &[f64]| {
-            let mut channels = white.to_vec();
-            if let Some(driven) = &driven {
-                driven.innovations().restore(&mut channels);
-                return channels;
-            }
-            self.restore_displacement(window.source, &mut channels[n..]);
-            means(&channels[n..])
-        };
         let residual = seen(&step.residuals);
-        let (_, beside) = self.columns(job, step, own, None);
-        let mut columns: Vec<Vec<f64>> = beside.iter().map(|column| seen(column)).collect();
-        let of_a = if driven.is_some() { n } else { 0 };
-        for harmonic in 1..=HARMONICS {
-            let turn = TAU * f64::from(harmonic) * window.frequency_hz * block as f64 / rate;
-            let of_d = |wave: fn(f64) -> f64| {
-                let along = (0..residual.len() - of_a).map(|i| wave(turn * i as f64));
-                std::iter::repeat_n(0.0, of_a).chain(along).collect()
-            };
-            columns.extend([of_d(f64::cos), of_d(f64::sin)]);
-        }
-        columns.retain(|column| dot(column, column) > 0.0);
-        if residual.len() < 2 * columns.len() {
-            return None;
-        }
-        for column in &mut columns {
-            let size = dot(column, column).sqrt();
-            column.iter_mut().for_each(|x| *x /= size);
-        }
-        let counts = self.counts();
+        let turn = TAU * window.frequency_hz * block as f64 / rate;
+        let seen_beside = beside.iter().map(|column| seen(column));
+        let columns = of_length_one(seen_beside.chain(harmonics(turn, residual.len())));
         let likelihood = |corner: &f64| {
             // Means of stretches walk as far as the samples do.
-            let growth = (TAU * corner / rate * block as f64).powi(2);
-            match &driven {
-                Some(driven) => {
-                    let innovations = driven.beside(growth);
-                    let counts = &counts[window.range.clone()];
-                    let white = |channels: &mut [f64]| innovations.whiten(counts, channels);
-                    restricted(&residual, &columns, white, innovations.log_determinant())
-                }
-                None => {
-                    let whitening = Whitening::new(growth);
-                    let white = |channel: &mut [f64]| whitening.whiten(channel);
-                    restricted(&residual, &columns, white, whitening.log_determinant(residual.len()))
-                }
-            }
+            let whitening = Whitening::new((TAU * corner / rate * block as f64).powi(2));
+            let white = |channel: &mut [f64]| whitening.whiten(channel);
+            restricted(&residual, &columns, white, whitening.log_determinant(residual.len()))
         };
-        if driven.is_none() {
-            return corners.iter().map(likelihood).collect();
-        }
-        let coarse: Vec<f64> =
-            corners.iter().step_by(SPARSE).chain(corners.last()).map(likelihood).collect::<Option<_>>()?;
+        corners.iter().map(likelihood).collect()
+    }
+
+    /// The same beside noise in what drives the step: both channels tell it, and every sample.
+    fn profile_beside(
+        &self,
+        driven: &Driven,
+        step: &Step<'_>,
+        beside: &[Vec<f64>],
+        corners: &[f64],
+    ) -> Option<Vec<f64>> {
+        let (window, n, rate) = (step.window, step.simulated.len(), self.motion.sample_rate_hz);
+        let seen = |white: &[f64]| {
+            let mut channels = white.to_vec();
+            driven.innovations().restore(&mut channels);
+            channels
+        };
+        let of_d = harmonics(TAU * window.frequency_hz / rate, n).map(|wave| [vec![0.0; n], wave].concat());
+        let columns = of_length_one(beside.iter().map(|column| seen(column)).chain(of_d));
+        let (residual, counts) = (seen(&step.residuals), self.counts());
+        let likelihood = |corner: &f64| {
+            let innovations = driven.beside((TAU * corner / rate).powi(2));
+            let white = |channels: &mut [f64]| innovations.whiten(&counts[window.range.clone()], channels);
+            restricted(&residual, &columns, white, innovations.log_determinant())
+        };
+        let looked_at: Vec<f64> = corners.iter().step_by(SPARSE).map(likelihood).collect::<Option<_>>()?;
         let between = |i: usize| {
             let (left, share) = (i / SPARSE, (i % SPARSE) as f64 / SPARSE as f64);
-            coarse[left] + share * (coarse[left + 1] - coarse[left])
+            let next = looked_at.get(left + 1).unwrap_or(&looked_at[left]);
+            looked_at[left] + share * (next - looked_at[left])
         };
         Some((0..corners.len()).map(between).collect())
     }
+}
+
+/// Harmonics of a step that turns by so much from one to the next of so many values.
+fn harmonics(turn: f64, values: usize) -> impl Iterator<Item = Vec<f64>> {
+    let wave = move |harmonic: i32, of: fn(f64) -> f64| {
+        (0..values).map(|i| of(f64::from(harmonic) * turn * i as f64)).collect()
+    };
+    (1..=HARMONICS).flat_map(move |harmonic| [wave(harmonic, f64::cos), wave(harmonic, f64::sin)])
+}
+
+/// Columns over their length, those of none left out.
+fn of_length_one(columns: impl Iterator<Item = Vec<f64>>) -> Vec<Vec<f64>> {
+    let sized = columns.map(|column| (dot(&column, &column).sqrt(), column)).filter(|(size, _)| *size > 0.0);
+    sized.map(|(size, column)| column.into_iter().map(|x| x / size).collect()).collect()
 }
 
 /// Restricted log-likelihood of a channel beside columns, from what makes them white and the logarithm of the determinant of its covariance.
@@ -265,6 +279,9 @@ fn restricted(
     white: impl Fn(&mut [f64]),
     log_determinant: f64,
 ) -> Option<f64> {
+    if channel.len() < 2 * columns.len() {
+        return None;
+    }
     let whitened = |channel: &[f64]| {
         let mut channel = channel.to_vec();
         white(&mut channel);

@@ -453,9 +453,10 @@ fn a_blow_moves_a_mass_alike_in_both_solvers() {
 }
 
 #[test]
-fn a_fit_sees_the_step_in_which_the_mass_goes_farthest_of_however_many() {
+fn a_fit_to_a_whole_sweep_sees_the_step_in_which_the_mass_goes_farthest() {
     let mut motion = Motion::of(&seen(&b1_g2(), 3), 500.0, Tolerances::default()).expect("a motion");
-    // As long as those of a whole sweep, in either order.
+    // As long as a whole sweep and its steps, in either order.
+    motion.displacement_m.resize(LONG + 1, 0.0);
     motion.windows.iter_mut().for_each(|window| window.warm_from = 0);
     for _ in 0..2 {
         let measured = Measured::new(&motion).expect("driven");
