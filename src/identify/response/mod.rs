@@ -184,7 +184,7 @@ impl<'a> Measured<'a> {
             // Of a whole sweep the one in which the mass goes farthest tells what none of the few does that are left.
             let reaches = |k: &usize| largest_m(motion, &motion.windows[*k].range);
             let farthest = all.iter().copied().max_by(|a, b| reaches(a).total_cmp(&reaches(b)));
-            let few = !held_out && motion.displacement_m.len() > LONG;
+            let few = !held_out && is_long(motion);
             let needed = |k: usize| motion.windows[k].settling || few && Some(k) == farthest;
             let kept = |(i, k): (usize, usize)| (i % every == 0 || needed(k)).then_some(k);
             all.into_iter().enumerate().filter_map(kept).collect()
@@ -234,7 +234,7 @@ impl<'a> Measured<'a> {
 
     /// Whether a part of the steps is enough to sort out.
     pub fn is_long(&self) -> bool {
-        self.motion.displacement_m.len() > LONG
+        is_long(self.motion)
     }
 
     /// Share of the steps of training in which impacts kick the table: what drives those is known as it was measured, not as a sine.
@@ -492,6 +492,11 @@ fn gains_and_leak(motion: &Motion) -> [f64; 3] {
         }
         (None, Kind::Force | Kind::Component) => [0.0; 3],
     }
+}
+
+/// Whether so many samples were recorded that a part of the steps tells enough.
+fn is_long(motion: &Motion) -> bool {
+    motion.displacement_m.len() > LONG
 }
 
 /// Rise from one of so many samples to the next, by central differences, at the ends by those to the only neighbour, a sample.
