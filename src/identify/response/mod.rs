@@ -183,9 +183,12 @@ impl<'a> Measured<'a> {
             let every = samples.div_ceil(SAMPLES * motion.sources.len().max(1)).max(1);
             // Of a whole sweep the one in which the mass goes farthest tells what none of the few does that are left.
             let reaches = |k: &usize| largest_m(motion, &motion.windows[*k].range);
-            let farthest = all.iter().copied().max_by(|a, b| reaches(a).total_cmp(&reaches(b)));
-            let few = !held_out && is_long(motion);
-            let needed = |k: usize| motion.windows[k].settling || few && Some(k) == farthest;
+            let farthest = if !held_out && is_long(motion) {
+                all.iter().copied().max_by(|a, b| reaches(a).total_cmp(&reaches(b)))
+            } else {
+                None
+            };
+            let needed = |k: usize| motion.windows[k].settling || Some(k) == farthest;
             let kept = |(i, k): (usize, usize)| (i % every == 0 || needed(k)).then_some(k);
             all.into_iter().enumerate().filter_map(kept).collect()
         };

@@ -99,8 +99,6 @@ impl Whitening {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Slow {
     corner_hz: f64,
-    /// Variance that it grows by, a sample, over that of the white noise.
-    growth: f64,
     whitening: Whitening,
 }
 
@@ -119,6 +117,11 @@ impl Measured<'_> {
         }
     }
 
+    /// Variance that slow noise which equals the white one at a frequency grows by, a sample, over that of the white one.
+    fn growth(&self, corner_hz: f64) -> f64 {
+        (TAU * corner_hz / self.motion.sample_rate_hz).powi(2)
+    }
+
     /// Frequency at which the slow noise of each record's displacement sensor equals its white noise, Hz: 0 without any; nothing
     /// before it was told.
     pub fn slow_noise_hz(&self) -> Vec<f64> {
@@ -133,7 +136,6 @@ impl Measured<'_> {
     /// belongs to it: the corner where it equals the white noise, by the restricted likelihood (Patterson and Thompson 1971). What a
     /// model lacks may pose as slow noise, so a better one tells it anew. Says whether anything changed by more than chance.
     pub fn learn_slow_noise(&self, spec: &ModelSpec, numbers: &Numbers, laid: [(Part, &Laid); 2]) -> bool {
-        let rate = self.motion.sample_rate_hz;
         let lowest_hz = LOWEST * self.motion.median_frequency_hz();
         let corners: Vec<f64> =
             [0.0].into_iter().chain((0..CORNERS).map(|i| lowest_hz * NEXT.powi(i))).collect();
@@ -162,8 +164,7 @@ impl Measured<'_> {
             .iter()
             .map(|profiles| {
                 let corner_hz = corners[agreed(profiles, if noisy { LEAST } else { 0.0 })];
-                let growth = (TAU * corner_hz / rate).powi(2);
-                Slow { corner_hz, growth, whitening: Whitening::new(growth) }
+                Slow { corner_hz, whitening: Whitening::new(self.growth(corner_hz)) }
             })
             .collect();
         let before = self.slow();
@@ -173,7 +174,8 @@ impl Measured<'_> {
         };
         let changed = slow.iter().enumerate().any(another);
         if changed && let Ok(mut now) = self.slow.write() {
-            self.noise_of_drive_beside(&slow.iter().map(|slow| slow.growth).collect::<Vec<_>>());
+            let growths: Vec<f64> = slow.iter().map(|slow| self.growth(slow.corner_hz)).collect();
+            self.noise_of_drive_beside(&growths);
             *now = Arc::new(slow);
         }
         changed
@@ -244,7 +246,7 @@ impl Measured<'_> {
         let columns = of_length_one(beside.iter().map(|column| seen(column)).chain(of_d));
         let (residual, counts) = (seen(&step.residuals), self.counts());
         let likelihood = |corner: &f64| {
-            let innovations = driven.beside((TAU * corner / rate).powi(2));
+            let innovations = driven.beside(self.growth(*corner));
             let white = |channels: &mut [f64]| innovations.whiten(&counts[window.range.clone()], channels);
             restricted(&residual, &columns, white, innovations.log_determinant())
         };
