@@ -12,6 +12,7 @@ pub mod engine;
 mod errors;
 pub mod instruments;
 mod late;
+mod likeness;
 pub mod live;
 pub mod missing_force;
 pub mod next_test;

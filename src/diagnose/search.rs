@@ -143,6 +143,11 @@ impl<'a> Searcher<'a> {
         &self.fitting
     }
 
+    /// The one that sorts out.
+    pub(super) fn screening(&self) -> &Problem<'a> {
+        &self.screening
+    }
+
     /// Re-fits the base model.
     pub fn base(&self, nominal: &ModelSpec) -> Option<Trial> {
         let refit = trial::base_by_force(&self.fitting, nominal, self.fitted.as_ref())?;

@@ -4,8 +4,9 @@
 //! wherever a base record drives a simulation.
 
 use super::by_response::to_first_order;
+use super::likeness::Likeness;
 use super::search::Searcher;
-use super::trial::{self, Trial};
+use super::trial::{self, Response, Trial};
 use super::verdict::Thresholds;
 use super::{candidates, verdict};
 use crate::identify::least_squares::Settings;
@@ -39,6 +40,9 @@ pub struct Shaped {
 /// that there is no name for, and a shape is fitted in their place all the same.
 const WORTH: f64 = 0.3;
 const SEVERAL: usize = 2;
+
+/// Share of the power of what was found that the shape most like it has at least, to be fitted in its place.
+const LIKE: f64 = 0.8;
 
 /// So many of the first are looked at again.
 const AGAIN: usize = 8;
@@ -105,38 +109,54 @@ impl Searcher<'_> {
         let tangent = measured.tangent(&trial.refit.spec, &trial.refit.numbers, &response.training)?;
         let scales = candidates::scales(&trial.refit.spec, self.motion);
         let with = |start: &EffectSpec| candidates::beside(&trial.refit.spec, start);
-        let of_bumper = |expression: &str| expression.contains("pm");
-        let starts: Vec<EffectSpec> = SHAPES
-            .into_iter()
-            .filter(|expression| !of_bumper(expression) || scales.penetration_m.is_some())
-            .map(|expression| faint(expression, &scales))
-            .collect();
+        let starts: Vec<EffectSpec> = usable(&scales).collect();
         let told = to_first_order(&tangent, &starts, with, grown, |told| told.truncate(AGAIN));
         let shape = |(start, score): (EffectSpec, response::Score)| {
             let grown = with(&grown(&start, score.scale)?);
             let with = trial.refit.numbers.moved(grown, &score.followed, score.scale)?;
             let expression = start.expression?;
-            let doubt = if of_bumper(&expression) { thresholds.doubt(response) } else { 0.0 };
+            let doubt = doubt(&expression, response, thresholds);
             Some(Shape { expression, nats: score.nats - doubt, doubt, with })
         };
         told.into_iter().filter_map(shape).max_by(|a, b| a.nats.total_cmp(&b.nats))
     }
 
-    /// How much better the best shape does on the base model than the effects that were taken.
+    /// How much better a shape does on the base model than the effects that were taken: the one that brings most there to first
+    /// order, or the one most like what they do together.
     fn shape_instead(&self, base: &Trial, taken: &Trial, thresholds: Thresholds) -> Option<f64> {
-        let (measured, shape) = (self.measured.as_ref()?, self.shape_left(base, thresholds)?);
-        let doubt = shape.doubt;
-        if taken.names.len() < SEVERAL && shape.nats < WORTH * taken.training_gain(base) {
-            return None;
-        }
-        let fitted = trial::respond(measured, &self.with_shape(base, shape.with), None, SHORT)?;
-        let ahead = verdict::apart(&fitted, taken) - doubt;
+        let several = taken.names.len() >= SEVERAL;
+        let most = self.shape_left(base, thresholds);
+        let most = most.filter(|shape| several || shape.nats >= WORTH * taken.training_gain(base));
+        let most = most.map(|shape| (shape.expression, shape.with));
+        let like = if several { self.shape_like(base, taken) } else { None };
+        let like = like.filter(|like| most.as_ref().is_none_or(|most| most.0 != like.0));
+        let ahead = |(expression, with): (String, ModelSpec)| {
+            let doubt = doubt(&expression, taken.response.as_ref()?, thresholds);
+            Some(self.ahead(base, taken, with)? - doubt)
+        };
+        [most, like].into_iter().flatten().filter_map(ahead).max_by(f64::total_cmp)
+    }
+
+    /// How much better a shape beside the base model is than what was taken, once it is fitted.
+    fn ahead(&self, base: &Trial, taken: &Trial, with: ModelSpec) -> Option<f64> {
+        let measured = self.measured.as_ref()?;
+        let fitted = trial::respond(measured, &self.with_shape(base, with), None, SHORT)?;
+        let ahead = verdict::apart(&fitted, taken);
         let laid = fitted.response.as_ref().map(|response| &response.training);
         let promised = 0.5 * laid.map_or(0.0, Laid::promised);
         if ahead + PROMISED * promised < 0.0 {
             return Some(ahead);
         }
-        Some(verdict::apart(&trial::respond(measured, &fitted, laid, LONG)?, taken) - doubt)
+        Some(verdict::apart(&trial::respond(measured, &fitted, laid, LONG)?, taken))
+    }
+
+    /// The shape most like what the effects of a trial do together; none where no shape is much like it.
+    fn shape_like(&self, base: &Trial, taken: &Trial) -> Option<(String, ModelSpec)> {
+        let likeness = Likeness::new(self.screening(), base, taken)?;
+        let like = |start: EffectSpec| Some((likeness.of(&start, grown)?, start.expression?));
+        let scales = candidates::scales(&taken.refit.spec, self.motion);
+        let most = usable(&scales).filter_map(like).max_by(|a, b| a.0.share.total_cmp(&b.0.share));
+        most.filter(|(like, _)| like.share > LIKE).map(|(like, expression)| (expression, like.with))
     }
 
     /// A trial with a shape beside it, whose amplitude is to be fitted along with the trial's own numbers.
@@ -154,6 +174,21 @@ impl Searcher<'_> {
         let names = from.names.iter().cloned().chain(["expression".to_owned()]).collect();
         Trial { names, refit, ..from.clone() }
     }
+}
+
+/// Shapes, faint, that a record with such motions has.
+fn usable(scales: &Scales) -> impl Iterator<Item = EffectSpec> {
+    let usable = SHAPES.into_iter().filter(|shape| !of_bumper(shape) || scales.penetration_m.is_some());
+    usable.map(|shape| faint(shape, scales))
+}
+
+fn of_bumper(expression: &str) -> bool {
+    expression.contains("pm")
+}
+
+/// Nats that what a shape brings may be wrong by.
+fn doubt(expression: &str, response: &Response, thresholds: Thresholds) -> f64 {
+    if of_bumper(expression) { thresholds.doubt(response) } else { 0.0 }
 }
 
 /// A shape with so many times its amplitude.
@@ -183,6 +218,11 @@ fn faint(expression: &'static str, scales: &Scales) -> EffectSpec {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnose::search::Effort;
+    use crate::diagnose::testing::{seen, with};
+    use crate::identify::kinematics::Tolerances;
+    use crate::identify::motion::Motion;
+    use crate::model::effects::coulomb_friction;
     use crate::model::{build, testing::b1_g2};
 
     #[test]
@@ -192,6 +232,38 @@ mod tests {
             let mut spec = b1_g2();
             spec.effects.push(faint(expression, &scales));
             assert!(build(&spec, 1.0 / 2048.0).is_ok(), "{expression}");
+        }
+    }
+
+    /// Cubic damping is made up for by quadratic damping and a friction that turns round over a part of the velocities, to some tens
+    /// of nats, wherever the base model is too far off for first order to find it.
+    #[test]
+    fn one_shape_is_found_in_place_of_two_effects_that_stand_in_for_it() {
+        let start = |name: &str, parameters: &[(&str, f64)]| EffectSpec {
+            name: name.into(),
+            expression: None,
+            parameters: parameters.iter().map(|(key, value)| ((*key).to_owned(), *value)).collect(),
+        };
+        let both = [
+            start("quadratic-damping", &[("c2_n_s2_m2", 2500.0)]),
+            start("coulomb-friction", &[("fc_n", 2.0), (coulomb_friction::TURNING, 0.015)]),
+        ];
+        let cubic = EffectSpec {
+            expression: Some("f*(v/vm)^3".into()),
+            ..start("expression", &[("f", 40.0), ("vm", 0.1)])
+        };
+        for (effects, stand_in) in [(&[cubic][..], true), (&both[..], false)] {
+            let mut truth = b1_g2();
+            truth.effects = effects.to_vec();
+            let motion = Motion::of(&seen(&truth, 41), 500.0, Tolerances::default()).expect("a motion");
+            let searcher = Searcher::new(&motion, &b1_g2(), Effort::default());
+            let base = searcher.base(&b1_g2()).expect("fits");
+            let taken = with(&searcher, &base, &both, Settings::default());
+            let (like, _) = searcher.shape_like(&base, &taken).expect("much like it");
+            assert_eq!(like, "f*(v/vm)^3");
+            let thresholds = Thresholds::default();
+            let instead = searcher.shape_instead(&base, &taken, thresholds).expect("fits");
+            assert_eq!(instead > thresholds.of_shape_instead(&taken), stand_in, "{instead}");
         }
     }
 }

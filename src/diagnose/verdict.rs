@@ -107,7 +107,7 @@ impl Thresholds {
 
     /// Nats by which one in place of what was taken does better, from which on that is it: it is the best of many, as two effects
     /// together are.
-    fn of_shape_instead(&self, taken: &Trial) -> f64 {
+    pub fn of_shape_instead(&self, taken: &Trial) -> f64 {
         self.tie + if taken.names.len() > 1 { 0.0 } else { OF_MANY }
     }
 
