@@ -3,6 +3,7 @@
 use hil_tests::hidden::{self, Recipe, Sensors, Shaking};
 use shaketable::compare::compare;
 use shaketable::diagnose::live::evidence;
+use shaketable::diagnose::next_test::SweepProposal;
 use shaketable::diagnose::report::StepErrors;
 use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose, diagnose_together};
 use shaketable::model::{EffectSpec, ModelSpec};
@@ -156,6 +157,27 @@ fn records_of_two_gaps_are_diagnosed_together() {
     assert_eq!(hint.candidates[0].name, "hunt-crossley-damping", "{hint:?}");
 }
 
+/// What a slow sweep was to part: the one step at resonance, held out, put a Bouc-Wen element ten nats before the Iwan element that is
+/// there, whose numbers the other steps leave open.
+#[test]
+fn which_of_two_it_is_is_told_by_all_steps() {
+    let first = hidden::make(&Recipe::of(10_114_105, &["iwan-hysteresis"], 0.01)).expect("reaches its size");
+    let test = SweepProposal {
+        start_hz: 0.2996,
+        stop_hz: 2.1751,
+        step_hz: 0.23443,
+        cycles: 10,
+        acceleration_g: 0.03,
+        without_bumpers: false,
+        total_gap_m: None,
+    };
+    let second = hidden::tested(&first, &test, 10_114_105 ^ 0xadd).expect("a response");
+    let tests = [(&first.record, &first.nominal), (&second.record, &second.nominal)];
+    let found = diagnose_together(&tests, &Options::default()).expect("records that belong together");
+    let all = || found.effects.iter().map(|e| e.name.clone()).chain(found.ambiguous_with.clone());
+    assert!(all().any(|name| name == "iwan-hysteresis"), "{:?} {:?}", found.effects, found.refused);
+}
+
 /// What a fault changes of a record.
 type Fault = fn(&mut Record);
 
@@ -189,8 +211,9 @@ fn a_force_that_no_effect_explains_is_outside_the_catalogue() {
 #[test]
 fn a_force_that_two_effects_make_up_for_is_outside_the_catalogue() {
     // A damping that grows with the cube of velocity: one shape does better than every pair, the one of a square and a friction among
-    // them that takes a quarter of the velocities to turn round; of the last by 9 nats.
-    for seed in [10_097_103, 10_107_303, 10_112_307] {
+    // them that takes a quarter of the velocities to turn round; of the second by 9 nats. Of the last the base model is so far off that
+    // first order takes another shape for it.
+    for seed in [10_097_103, 10_112_307, 10_113_315] {
         let found = foreign(seed, 3);
         assert_eq!(found.verdict, Verdict::OutsideCatalogue, "{seed}: {:?}", found.effects);
     }

@@ -30,6 +30,7 @@ const ANOTHER: f64 = 0.3;
 pub(super) const WORTH: f64 = 4.0;
 const SHARE: f64 = 0.05;
 /// Nats to first order that the most of so many starts may bring by chance: where no fit from there gains anything, none is looked for.
+/// Of a long record the best alone is fitted then, to be refused by name, and what that brings by chance is less than is worth a fit.
 const CHANCE: f64 = 8.0;
 /// Nats to first order below which nothing is fitted beside an effect of a long record: what is asked of a second effect.
 const SECOND: f64 = 10.0;
@@ -89,6 +90,8 @@ impl Searcher<'_> {
         }
         let far = from.is_far();
         let worth = (SHARE * best).max(if far { 0.0 } else { WORTH });
+        let by_chance = long && !far && best <= CHANCE;
+        let scored = if by_chance { 1 } else { SCORED };
         let by_force = if far { by_force } else { &[] };
         let mut effects: Vec<String> = Vec::new();
         let mut passed_over: Vec<ModelSpec> = Vec::new();
@@ -106,7 +109,7 @@ impl Searcher<'_> {
                     // What one that goes on contains may do as well with less.
                     let simpler =
                         effects.iter().any(|of| candidates::contained_in(of).contains(&name.as_str()));
-                    soon || (effects.len() < SCORED || simpler) && *nats > worth
+                    soon || (effects.len() < scored || simpler) && *nats > worth
                 };
             if goes_on && !another {
                 effects.push(name);
@@ -128,7 +131,8 @@ impl Searcher<'_> {
         parts::done("fits");
         // Nothing better need be looked for where the best brings nothing, of a long record or when no more was promised.
         let looked_for = !measured.is_long() && hopeful && (best > CHANCE || far);
-        if !looked_for && finalists.first().is_none_or(|best| verdict::apart(best, from) <= 0.0) {
+        let nothing = if by_chance { WORTH } else { 0.0 };
+        if !looked_for && finalists.first().is_none_or(|best| verdict::apart(best, from) <= nothing) {
             return finalists;
         }
         let behind =

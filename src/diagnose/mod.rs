@@ -28,6 +28,7 @@ mod summits;
 pub(crate) mod testing;
 pub mod trial;
 pub mod verdict;
+pub mod whole;
 
 pub use engine::{DiagnoseError, Options, diagnose, diagnose_together};
 pub use report::Diagnosis;

@@ -453,6 +453,10 @@ impl<'a> Searcher<'a> {
                 }
             }
             parts::done("other first effects");
+            if gained {
+                self.told_by_all_steps(&mut stage.finalists, &from);
+            }
+            parts::done("rivals by all steps");
             search.stages.push(stage);
             if !gained {
                 break;

@@ -1,5 +1,6 @@
 //! One candidate tried: fitted together with the base model's numbers, judged on held-out steps.
 
+use super::whole::Whole;
 use crate::identify::kinematics::Estimate;
 use crate::identify::least_squares::Settings;
 use crate::identify::numbers::Numbers;
@@ -91,6 +92,8 @@ pub struct Trial {
     pub output: Option<Score>,
     /// Simulated response with everything that is not the model's estimated beside it; decides where there is one.
     pub response: Option<Response>,
+    /// The same fitted to all steps, those held out among them; where others come near.
+    pub whole: Option<Whole>,
 }
 
 /// How a model does by its simulated response.
@@ -169,7 +172,7 @@ pub fn judge_response(
     let kicked = measured.kicked();
     let forced = measured.is_forced();
     let response = Some(Response { training, held_out, left, freedom_nats, kicked, forced });
-    Some(Trial { refit, response, ..trial.clone() })
+    Some(Trial { refit, response, whole: None, ..trial.clone() })
 }
 
 impl Trial {
@@ -330,6 +333,7 @@ pub fn judge_by_force(problem: &Problem<'_>, names: &[String], refit: Refit) -> 
         refit,
         output: None,
         response: None,
+        whole: None,
     })
 }
 

@@ -185,9 +185,17 @@ pub fn gain(better: &Trial, worse: &Trial) -> f64 {
 
 /// How much better the first of two trials is over the whole record, nats: on the held-out steps, and on those of the fit less
 /// what its freedom is worth: where the simulated response decides, by how much the record narrows its numbers, else half the
-/// logarithm of the independent samples for each parameter more (Schwarz 1978).
+/// logarithm of the independent samples for each parameter more (Schwarz 1978). Of those that come near each other by all steps.
 pub fn apart(better: &Trial, worse: &Trial) -> f64 {
-    gain(better, worse) + evidence(better, worse)
+    if let (Some(one), Some(other)) = (&better.whole, &worse.whole) {
+        return one.ahead_of(other);
+    }
+    added(better, worse)
+}
+
+/// The same by both parts of the steps, of a model and the one that it was added to.
+fn added(with: &Trial, from: &Trial) -> f64 {
+    gain(with, from) + evidence(with, from)
 }
 
 /// By how much a model is likelier with the numbers of the first of two fits of it than with those of the second, nats: what its freedom
@@ -344,7 +352,7 @@ pub fn brings(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
     // Where the response decides, the held-out steps have paid for the freedom already.
     let fitted = if trial.response.is_some() { trial.training_gain(from) } else { evidence(trial, from) };
     let more = MORE[usize::from(!from.names.is_empty())];
-    let beyond_chance = trial.response.is_some() && apart(trial, from) > more * together;
+    let beyond_chance = trial.response.is_some() && added(trial, from) > more * together;
     // What the fit saw nothing of is one lucky step of those that it did not see.
     fitted > each && (held_out > each || beyond_chance) && brings_together(trial, from, thresholds)
 }
@@ -354,7 +362,7 @@ const AGAINST: f64 = 0.1;
 
 /// Whether it does so on all steps together, and those held out do not speak against it.
 fn brings_together(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
-    let ([_, together], in_all) = (thresholds.asked(trial, from), apart(trial, from));
+    let ([_, together], in_all) = (thresholds.asked(trial, from), added(trial, from));
     let least = if trial.response.is_some() { -AGAINST * in_all } else { 0.0 };
     in_all > together && gain(trial, from) > least
 }
@@ -380,7 +388,7 @@ fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(
     // Once something is missing, what brings a little less than was asked of it is a rival as well.
     let rivals = finalists
         .iter()
-        .filter(|trial| near(trial, thresholds.tie) && apart(trial, from) > 0.0 && stands(trial))
+        .filter(|trial| near(trial, thresholds.tie) && added(trial, from) > 0.0 && stands(trial))
         .filter(|trial| own_name(trial, chosen) != own_name(chosen, trial))
         .map(|trial| own_name(trial, chosen))
         .collect();
@@ -480,7 +488,7 @@ fn too_little(trial: &Trial, from: &Trial, thresholds: Thresholds) -> Refused {
              less what its freedom costs; {asked:.0} are asked",
             gain(trial, from),
             trial.training_gain(from),
-            apart(trial, from),
+            added(trial, from),
         ),
     }
 }

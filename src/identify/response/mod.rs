@@ -229,6 +229,13 @@ impl<'a> Measured<'a> {
         Self { training, ..self.clone() }
     }
 
+    /// The same with the steps that judge taken into the fit, too: for the evidence of a whole record.
+    pub fn of_all_steps(&self) -> Self {
+        let mut training = [self.training.as_slice(), &self.held_out].concat();
+        training.sort_unstable();
+        Self { training, ..self.clone() }
+    }
+
     /// The same with the cycles alone in which the mass goes farther than in any steady stretch.
     pub fn settling(&self) -> Self {
         let settles = |k: &usize| self.motion.windows[*k].settling;

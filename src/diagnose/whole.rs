@@ -1,0 +1,62 @@
+//! Explanations that come near each other, fitted to all steps. Numbers that the steps of the fit leave open cost an explanation nats
+//! on those held out, the right one as much as its rivals: where mass and isolator resonate one step may say more than all others.
+//! That something is missing is decided by steps that no fit has seen; which of two it is, by the evidence of all
+//! (MacKay, Neural Computation 4 (1992) 415).
+
+use super::search::Searcher;
+use super::trial::{self, Trial};
+use super::verdict;
+use crate::identify::least_squares::Settings;
+use crate::parallel;
+
+/// Nats within which explanations are near, some three times what such a step has cost the right one; and so many at most are told.
+const NEAR: f64 = 60.0;
+const MOST: usize = 4;
+
+const SETTINGS: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
+
+/// A model fitted to all steps of a record.
+#[derive(Clone, Copy, Debug)]
+pub struct Whole {
+    /// Sum of squares of the residuals and the priors', in units of the noise.
+    pub total: f64,
+    /// How many residuals count as one independent one.
+    pub colour: f64,
+    /// What the freedom of its numbers is worth there, nats.
+    pub freedom_nats: f64,
+}
+
+impl Whole {
+    /// How much likelier it is than another one, its numbers left open, nats.
+    pub fn ahead_of(&self, other: &Self) -> f64 {
+        let colour = self.colour.min(other.colour).max(1.0);
+        0.5 * (other.total - self.total) / colour - (self.freedom_nats - other.freedom_nats)
+    }
+}
+
+impl Searcher<'_> {
+    /// Has those of the explanations beside a model that come near the best told by all steps.
+    pub(super) fn told_by_all_steps(&self, finalists: &mut [Trial], from: &Trial) {
+        let Some(best) = finalists.iter().reduce(verdict::better) else { return };
+        let is_near = |trial: &Trial| verdict::apart(best, trial) < NEAR && verdict::apart(trial, from) > 0.0;
+        let mut near: Vec<usize> = (0..finalists.len()).filter(|i| is_near(&finalists[*i])).collect();
+        let behind = |i: &usize| verdict::apart(best, &finalists[*i]);
+        near.sort_by(|a, b| behind(a).total_cmp(&behind(b)));
+        near.truncate(MOST);
+        if near.len() < 2 {
+            return;
+        }
+        let told = parallel::map(&near, parallel::cores(), |i| self.whole(&finalists[*i]));
+        // Compared alike, or not at all.
+        if told.iter().all(Option::is_some) {
+            near.into_iter().zip(told).for_each(|(i, whole)| finalists[i].whole = whole);
+        }
+    }
+
+    fn whole(&self, trial: &Trial) -> Option<Whole> {
+        let measured = self.measured.as_ref().filter(|_| trial.response.is_some())?.of_all_steps();
+        let response = trial::respond(&measured, trial, None, SETTINGS)?.response?;
+        let (total, colour) = (response.training.total(), response.left[0].colour);
+        Some(Whole { total, colour, freedom_nats: response.freedom_nats })
+    }
+}
