@@ -5,6 +5,7 @@ use super::candidates;
 use super::contest::{Contest, Entrant, HOPELESS, best_first};
 use super::parts;
 use super::search::Searcher;
+use super::thresholds::Thresholds;
 use super::trial::Trial;
 use super::verdict;
 use crate::identify::refit::Refit;
@@ -30,7 +31,7 @@ const ANOTHER: f64 = 0.3;
 pub(super) const WORTH: f64 = 4.0;
 const SHARE: f64 = 0.05;
 /// Nats to first order that the most of so many starts may bring by chance: where no fit from there gains anything, none is looked for.
-/// Of a long record the best alone is fitted then, to be refused by name, and what that brings by chance is less than is worth a fit.
+/// Of a long record the best alone is fitted then, to be refused by name.
 const CHANCE: f64 = 8.0;
 /// Nats to first order below which nothing is fitted beside an effect of a long record: what is asked of a second effect.
 const SECOND: f64 = 10.0;
@@ -131,8 +132,8 @@ impl Searcher<'_> {
         parts::done("fits");
         // Nothing better need be looked for where the best brings nothing, of a long record or when no more was promised.
         let looked_for = !measured.is_long() && hopeful && (best > CHANCE || far);
-        let nothing = if by_chance { WORTH } else { 0.0 };
-        if !looked_for && finalists.first().is_none_or(|best| verdict::apart(best, from) <= nothing) {
+        let enough = |best: &Trial| if by_chance { Thresholds::default().together(best, from) } else { 0.0 };
+        if !looked_for && finalists.first().is_none_or(|best| verdict::apart(best, from) <= enough(best)) {
             return finalists;
         }
         let behind =

@@ -121,10 +121,11 @@ impl<'c, 'a> Contest<'c, 'a> {
         })
     }
 
-    /// What the model itself comes to in short, where that tells what an effect beside another may bring: little is left there.
+    /// What the model itself comes to in short, where that tells what an effect beside another may bring, or one that a long record is to
+    /// have: little is left there.
     fn without(&self) -> Option<f64> {
         let Refit { spec, numbers, zero_m, .. } = &self.from.refit;
-        if self.from.names.is_empty() || self.from.is_far() {
+        if self.from.names.is_empty() && !self.measured.is_long() || self.from.is_far() {
             return None;
         }
         let mut numbers = numbers.clone();

@@ -26,6 +26,7 @@ pub mod structure;
 mod summits;
 #[cfg(test)]
 pub(crate) mod testing;
+pub mod thresholds;
 pub mod trial;
 pub mod verdict;
 pub mod whole;

@@ -6,8 +6,8 @@
 use super::by_response::to_first_order;
 use super::likeness::Likeness;
 use super::search::Searcher;
+use super::thresholds::Thresholds;
 use super::trial::{self, Response, Trial};
-use super::verdict::Thresholds;
 use super::{candidates, verdict};
 use crate::identify::least_squares::Settings;
 use crate::identify::response::{self, Laid, PROMISED};
