@@ -52,7 +52,8 @@ use std::sync::{Arc, OnceLock, RwLock};
 const ROBUST: f64 = 1.5;
 /// Samples of a record that are simulated at most in one evaluation; steps are left out evenly beyond it.
 const SAMPLES: usize = 75_000;
-/// A record of more samples tells enough by a part of its steps where candidates are sorted out.
+/// A record of more samples (records together: of so many times more) tells enough by a part of its steps where candidates are
+/// sorted out.
 const LONG: usize = 360_000;
 /// Standard deviation of the time between the table's channel and the others, in samples.
 const LAG: f64 = 0.3;
@@ -180,7 +181,10 @@ impl<'a> Measured<'a> {
                 (0..motion.windows.len()).filter(|k| motion.windows[*k].held_out == held_out).collect();
             let samples: usize =
                 all.iter().map(|k| motion.windows[*k].range.end - motion.windows[*k].warm_from).sum();
-            let every = samples.div_ceil(SAMPLES * motion.sources.len().max(1)).max(1);
+            // A record alone keeps one of so many; records together all that there is room for, since a little too much of them would
+            // leave out half of what the last one was recorded for.
+            let times = samples as f64 / (SAMPLES * motion.sources.len().max(1)) as f64;
+            let share = 1.0 / if motion.sources.len() > 1 { times.max(1.0) } else { times.ceil().max(1.0) };
             // Of a whole sweep the one in which the mass goes farthest tells what none of the few does that are left.
             let reaches = |k: &usize| largest_m(motion, &motion.windows[*k].range);
             let farthest = if !held_out && is_long(motion) {
@@ -189,7 +193,7 @@ impl<'a> Measured<'a> {
                 None
             };
             let needed = |k: usize| motion.windows[k].settling || Some(k) == farthest;
-            let kept = |(i, k): (usize, usize)| (i % every == 0 || needed(k)).then_some(k);
+            let kept = |(i, k): (usize, usize)| (stays(i, share) || needed(k)).then_some(k);
             all.into_iter().enumerate().filter_map(kept).collect()
         };
         let [of_laser, of_accelerometers, leak_sigma] = gains_and_leak(motion).map(|sigma| sigma.max(1e-6));
@@ -504,9 +508,16 @@ fn gains_and_leak(motion: &Motion) -> [f64; 3] {
     }
 }
 
+/// Whether the step of that place stays where a share of them does, evenly.
+fn stays(place: usize, share: f64) -> bool {
+    // Beside what rounding makes of whole numbers.
+    let before = |place: usize| (place as f64 * share - 1e-9).ceil();
+    before(place + 1) > before(place)
+}
+
 /// Whether so many samples were recorded that a part of the steps tells enough.
 fn is_long(motion: &Motion) -> bool {
-    motion.displacement_m.len() > LONG
+    motion.displacement_m.len() > LONG * motion.sources.len().max(1)
 }
 
 /// Rise from one of so many samples to the next, by central differences, at the ends by those to the only neighbour, a sample.

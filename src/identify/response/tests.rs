@@ -476,3 +476,13 @@ fn a_line_rises_alike_at_its_ends() {
     (0..5).for_each(|i| assert_eq!(slopes(|i| line[i], line.len(), i), (3.0, -2.0), "{i}"));
     assert_eq!(slopes(|i| line[i], 1, 0), (0.0, 0.0));
 }
+
+#[test]
+fn steps_are_left_out_evenly_and_no_more_than_have_to_be() {
+    let left = |share: f64| (0..60).filter(|place| stays(*place, share)).collect::<Vec<_>>();
+    assert_eq!(left(1.0).len(), 60);
+    // One in ten too many had every other one left out.
+    assert_eq!(left(0.9).len(), 54);
+    assert_eq!(left(0.5), (0..60).step_by(2).collect::<Vec<_>>());
+    assert_eq!(left(1.0 / 7.0), (0..60).step_by(7).collect::<Vec<_>>());
+}
