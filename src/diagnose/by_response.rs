@@ -132,7 +132,7 @@ impl Searcher<'_> {
         parts::done("fits");
         // Nothing better need be looked for where the best brings nothing, of a long record or when no more was promised.
         let looked_for = !measured.is_long() && hopeful && (best > CHANCE || far);
-        let enough = |best: &Trial| if by_chance { Thresholds::default().together(best, from) } else { 0.0 };
+        let enough = |best: &Trial| if by_chance { Thresholds::default().asked(best, from)[1] } else { 0.0 };
         if !looked_for && finalists.first().is_none_or(|best| verdict::apart(best, from) <= enough(best)) {
             return finalists;
         }

@@ -84,7 +84,7 @@ pub struct Search {
 pub struct Searcher<'a> {
     pub(super) motion: &'a Motion,
     pub(super) effort: Effort,
-    screening: Problem<'a>,
+    pub(super) screening: Problem<'a>,
     fitting: Problem<'a>,
     /// The nominal model fitted by force.
     pub(super) fitted: Option<Refit>,
@@ -142,11 +142,6 @@ impl<'a> Searcher<'a> {
     /// The problem with the finer thinning.
     pub fn problem(&self) -> &Problem<'a> {
         &self.fitting
-    }
-
-    /// The one that sorts out.
-    pub(super) fn screening(&self) -> &Problem<'a> {
-        &self.screening
     }
 
     /// Re-fits the base model.

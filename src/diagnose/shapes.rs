@@ -21,8 +21,6 @@ pub struct Shape {
     pub expression: String,
     /// Nats of log-likelihood on the steps of the fit, to first order, less what a force of the bumpers may be wrong by.
     pub nats: f64,
-    /// Nats that it may be wrong by.
-    doubt: f64,
     /// The model with it, everything moved as first order has it.
     with: ModelSpec,
 }
@@ -88,7 +86,7 @@ impl Searcher<'_> {
     pub fn shaped(&self, base: &Trial, taken: &Trial, thresholds: Thresholds) -> Shaped {
         let enough = thresholds.of_shape(taken);
         let beside = self.shape_left(taken, thresholds).map_or(0.0, |shape| match shape.nats {
-            nats if nats > enough => self.fitted(taken, shape).unwrap_or(0.0),
+            nats if nats > enough => self.fitted(taken, shape, thresholds).unwrap_or(0.0),
             nats => nats,
         });
         let instead = if taken.names.is_empty() { None } else { self.shape_instead(base, taken, thresholds) };
@@ -96,8 +94,8 @@ impl Searcher<'_> {
     }
 
     /// What a shape beside a trial brings to the steps of the fit when it is fitted, nothing where those held out speak against it.
-    fn fitted(&self, taken: &Trial, shape: Shape) -> Option<f64> {
-        let doubt = shape.doubt;
+    fn fitted(&self, taken: &Trial, shape: Shape, thresholds: Thresholds) -> Option<f64> {
+        let doubt = doubt(&shape.expression, taken.response.as_ref()?, thresholds);
         let fitted =
             trial::respond(self.measured.as_ref()?, &self.with_shape(taken, shape.with), None, LONG)?;
         (verdict::gain(&fitted, taken) > 0.0).then(|| fitted.training_gain(taken) - doubt)
@@ -116,7 +114,7 @@ impl Searcher<'_> {
             let with = trial.refit.numbers.moved(grown, &score.followed, score.scale)?;
             let expression = start.expression?;
             let doubt = doubt(&expression, response, thresholds);
-            Some(Shape { expression, nats: score.nats - doubt, doubt, with })
+            Some(Shape { expression, nats: score.nats - doubt, with })
         };
         told.into_iter().filter_map(shape).max_by(|a, b| a.nats.total_cmp(&b.nats))
     }
@@ -152,7 +150,7 @@ impl Searcher<'_> {
 
     /// The shape most like what the effects of a trial do together; none where no shape is much like it.
     fn shape_like(&self, base: &Trial, taken: &Trial) -> Option<(String, ModelSpec)> {
-        let likeness = Likeness::new(self.screening(), base, taken)?;
+        let likeness = Likeness::new(&self.screening, base, taken)?;
         let like = |start: EffectSpec| Some((likeness.of(&start, grown)?, start.expression?));
         let scales = candidates::scales(&taken.refit.spec, self.motion);
         let most = usable(&scales).filter_map(like).max_by(|a, b| a.0.share.total_cmp(&b.0.share));
@@ -222,8 +220,9 @@ mod tests {
     use crate::diagnose::testing::{seen, with};
     use crate::identify::kinematics::Tolerances;
     use crate::identify::motion::Motion;
+    use crate::model::build;
     use crate::model::effects::coulomb_friction;
-    use crate::model::{build, testing::b1_g2};
+    use crate::model::testing::{b1_g2, effect};
 
     #[test]
     fn every_shape_is_an_effect_that_can_be_simulated() {
@@ -239,18 +238,13 @@ mod tests {
     /// of nats, wherever the base model is too far off for first order to find it.
     #[test]
     fn one_shape_is_found_in_place_of_two_effects_that_stand_in_for_it() {
-        let start = |name: &str, parameters: &[(&str, f64)]| EffectSpec {
-            name: name.into(),
-            expression: None,
-            parameters: parameters.iter().map(|(key, value)| ((*key).to_owned(), *value)).collect(),
-        };
         let both = [
-            start("quadratic-damping", &[("c2_n_s2_m2", 2500.0)]),
-            start("coulomb-friction", &[("fc_n", 2.0), (coulomb_friction::TURNING, 0.015)]),
+            effect("quadratic-damping", &[("c2_n_s2_m2", 2500.0)]),
+            effect("coulomb-friction", &[("fc_n", 2.0), (coulomb_friction::TURNING, 0.015)]),
         ];
         let cubic = EffectSpec {
             expression: Some("f*(v/vm)^3".into()),
-            ..start("expression", &[("f", 40.0), ("vm", 0.1)])
+            ..effect("expression", &[("f", 40.0), ("vm", 0.1)])
         };
         for (effects, stand_in) in [(&[cubic][..], true), (&both[..], false)] {
             let mut truth = b1_g2();

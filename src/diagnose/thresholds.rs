@@ -104,11 +104,6 @@ impl Thresholds {
         self.kicked * response.kicked * response.count() as f64
     }
 
-    /// What a trial has to bring on all steps together.
-    pub fn together(self, trial: &Trial, from: &Trial) -> f64 {
-        self.asked(trial, from)[1]
-    }
-
     /// What a trial has to bring on each part of the steps and together.
     pub(super) fn asked(self, trial: &Trial, from: &Trial) -> [f64; 2] {
         let Some(response) = &trial.response else { return self.gain };

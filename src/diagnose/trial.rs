@@ -1,6 +1,6 @@
 //! One candidate tried: fitted together with the base model's numbers, judged on held-out steps.
 
-use super::whole::Whole;
+use super::whole::Evidence;
 use crate::identify::kinematics::Estimate;
 use crate::identify::least_squares::Settings;
 use crate::identify::numbers::Numbers;
@@ -93,7 +93,7 @@ pub struct Trial {
     /// Simulated response with everything that is not the model's estimated beside it; decides where there is one.
     pub response: Option<Response>,
     /// The same fitted to all steps, those held out among them; where others come near.
-    pub whole: Option<Whole>,
+    pub whole: Option<Evidence>,
 }
 
 /// How a model does by its simulated response.
@@ -114,6 +114,12 @@ pub struct Response {
 }
 
 impl Response {
+    /// What the steps of training say.
+    pub fn evidence(&self) -> Evidence {
+        let (total, colour) = (self.training.total(), self.colour());
+        Evidence { total, colour, freedom_nats: self.freedom_nats }
+    }
+
     /// How many residuals count as one independent one.
     pub fn colour(&self) -> f64 {
         0.5 * (self.left[0].colour + self.left[1].colour)

@@ -75,10 +75,12 @@ pub fn gain(better: &Trial, worse: &Trial) -> f64 {
 /// what its freedom is worth: where the simulated response decides, by how much the record narrows its numbers, else half the
 /// logarithm of the independent samples for each parameter more (Schwarz 1978). Of those that come near each other by all steps.
 pub fn apart(better: &Trial, worse: &Trial) -> f64 {
-    if let (Some(one), Some(other)) = (&better.whole, &worse.whole) {
-        return one.ahead_of(other);
-    }
-    added(better, worse)
+    by_all_steps(better, worse).unwrap_or_else(|| added(better, worse))
+}
+
+/// The same where both were told by all steps.
+fn by_all_steps(better: &Trial, worse: &Trial) -> Option<f64> {
+    Some(better.whole?.ahead_of(&worse.whole?))
 }
 
 /// The same by both parts of the steps, of a model and the one that it was added to.
@@ -100,9 +102,7 @@ pub fn better<'a>(best: &'a Trial, trial: &'a Trial) -> &'a Trial {
 /// The part of the steps that were fitted.
 fn evidence(trial: &Trial, from: &Trial) -> f64 {
     if let (Some(with), Some(of)) = (&trial.response, &from.response) {
-        let fall = of.training.total() - with.training.total();
-        let colour = with.colour().min(of.colour()).max(1.0);
-        return 0.5 * fall / colour - (with.freedom_nats - of.freedom_nats);
+        return with.evidence().ahead_of(&of.evidence());
     }
     let added = trial.dimension() as f64 - from.dimension() as f64;
     schwarz_nats(from.objective - trial.objective, added, trial.training, trial.colour)
@@ -353,8 +353,8 @@ fn weigh(finalists: &[Trial], chosen: &Trial, thresholds: Thresholds, probabilit
 }
 
 fn refuse(trial: &Trial, against: &Trial, base: &Trial, why: &str) -> Refused {
-    let nats = if trial.whole.is_some() && against.whole.is_some() {
-        format!("{:.1} nats apart, both fitted to all steps", apart(against, trial))
+    let nats = if let Some(nats) = by_all_steps(against, trial) {
+        format!("{nats:.1} nats apart, both fitted to all steps")
     } else {
         let on_the_fit = against.training_gain(trial);
         format!("{:.1} nats apart there, {on_the_fit:.1} on the steps of the fit", gain(against, trial))

@@ -7,17 +7,16 @@ use super::search::Searcher;
 use super::trial::{self, Trial};
 use super::verdict;
 use crate::identify::least_squares::Settings;
+use crate::identify::response::Measured;
 use crate::parallel;
 
 /// Nats within which explanations are near, some three times what such a step has cost the right one; and so many at most are told.
 const NEAR: f64 = 60.0;
 const MOST: usize = 4;
 
-const SETTINGS: Settings = Settings { iterations: 20, tolerance: 1e-6, difference: 1e-3 };
-
-/// A model fitted to all steps of a record.
+/// What a fit says of a model.
 #[derive(Clone, Copy, Debug)]
-pub struct Whole {
+pub struct Evidence {
     /// Sum of squares of the residuals and the priors', in units of the noise.
     pub total: f64,
     /// How many residuals count as one independent one.
@@ -26,7 +25,7 @@ pub struct Whole {
     pub freedom_nats: f64,
 }
 
-impl Whole {
+impl Evidence {
     /// How much likelier it is than another one, its numbers left open, nats.
     pub fn ahead_of(&self, other: &Self) -> f64 {
         let colour = self.colour.min(other.colour).max(1.0);
@@ -46,17 +45,19 @@ impl Searcher<'_> {
         if near.len() < 2 {
             return;
         }
-        let told = parallel::map(&near, parallel::cores(), |i| self.whole(&finalists[*i]));
+        let Some(measured) = self.measured.as_ref().map(Measured::of_all_steps) else { return };
+        let told = parallel::map(&near, parallel::cores(), |i| whole(&measured, &finalists[*i]));
         // Compared alike, or not at all.
         if told.iter().all(Option::is_some) {
             near.into_iter().zip(told).for_each(|(i, whole)| finalists[i].whole = whole);
         }
     }
+}
 
-    fn whole(&self, trial: &Trial) -> Option<Whole> {
-        let measured = self.measured.as_ref().filter(|_| trial.response.is_some())?.of_all_steps();
-        let response = trial::respond(&measured, trial, None, SETTINGS)?.response?;
-        let (total, colour) = (response.training.total(), response.left[0].colour);
-        Some(Whole { total, colour, freedom_nats: response.freedom_nats })
-    }
+/// A model fitted to all steps from where it stands.
+fn whole(measured: &Measured<'_>, trial: &Trial) -> Option<Evidence> {
+    trial.response.as_ref()?;
+    let settings = Settings { iterations: 20, ..Settings::default() };
+    let response = trial::respond(measured, trial, None, settings)?.response?;
+    Some(Evidence { colour: response.left[0].colour, ..response.evidence() })
 }

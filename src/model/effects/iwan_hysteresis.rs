@@ -118,7 +118,6 @@ impl Iwan {
     /// Takes note of a reversal at the place last taken note of.
     fn turn(&mut self) {
         let force = self.at(self.last);
-        self.count = self.active(self.last);
         if self.slips() {
             // All elements slip one way: whatever was before is forgotten.
             let away = ELSEWHERE * self.high * self.direction;
