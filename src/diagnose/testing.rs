@@ -16,7 +16,12 @@ const DT: f64 = 1.0 / 2048.0;
 pub fn seen(spec: &ModelSpec, seed: u64) -> Record {
     let mut sweep = SweepSpec { transition: Transition::None, ..SweepSpec::paper() };
     (sweep.start_hz, sweep.stop_hz, sweep.step_hz, sweep.cycles) = (Some(0.5), Some(2.3), Some(0.3), 10);
-    let schedule = Schedule::new(&sweep).expect("valid");
+    seen_over(spec, &sweep, seed)
+}
+
+/// The same over a sweep.
+pub fn seen_over(spec: &ModelSpec, sweep: &SweepSpec, seed: u64) -> Record {
+    let schedule = Schedule::new(sweep).expect("valid");
     let mut random = rand_pcg::Pcg64::seed_from_u64(seed);
     let normal = rand_distr::Normal::new(0.0, 1.0).expect("valid");
     let mut hiss = |sigma: f64| sigma * normal.sample(&mut random);
