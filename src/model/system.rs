@@ -34,14 +34,30 @@ impl Point {
             self.time_s,
         ]
     }
+
+    /// Displacement at which a motion turns on the cubic from here to another instant, m; none where it does not.
+    pub(super) fn turns_at_m(&self, to: &Self) -> Option<f64> {
+        let (v0, v1, dt) = (self.velocity_m_s, to.velocity_m_s, to.time_s - self.time_s);
+        if v0 * v1 >= 0.0 {
+            return None;
+        }
+        // Its velocity is v0 (1 - s) + v1 s + bulge s (1 - s), of opposite sign at both ends: one root between.
+        let bulge = 6.0 * ((to.displacement_m - self.displacement_m) / dt - 0.5 * (v0 + v1));
+        let linear = v1 - v0 + bulge;
+        let root = (linear * linear + 4.0 * bulge * v0).sqrt();
+        let s = -2.0 * v0 / (linear + root.copysign(v1 - v0));
+        let way = s * (v0 + s * (0.5 * linear - s * bulge / 3.0));
+        s.is_finite().then_some(self.displacement_m + dt * way)
+    }
 }
 
-/// Carries u' = v - u/tau over one sample period in closed form, v running linearly.
+/// Carries u' = v - u/tau over one sample period in closed form along the cubic through displacement and velocity at both its ends.
 #[derive(Clone, Copy, Debug)]
 pub struct Relaxation {
     decay: f64,
-    /// Weights of v at the beginning and at the end.
-    weights: [f64; 2],
+    /// Weights of v at the beginning and at the end, and of what its mean is more than theirs.
+    weights: [f64; 3],
+    period_s: f64,
 }
 
 impl Relaxation {
@@ -49,19 +65,27 @@ impl Relaxation {
     pub fn new(rate: f64, period_s: f64) -> Self {
         let x = rate * period_s;
         let decay = (-x).exp();
-        // Integrals of exp(-rate (period - t)) times 1 and t / period; series where x is small.
+        // Integrals of exp(-rate (period - t)) times 1, s = t / period and s (1 - s); series where x is small.
         let (one, ramp) = if x < 1e-3 {
             (1.0 - x / 2.0 + x * x / 6.0, 0.5 - x / 6.0 + x * x / 24.0)
         } else {
             let one = (1.0 - decay) / x;
             (one, (1.0 - one) / x)
         };
-        Self { decay, weights: [period_s * (one - ramp), period_s * ramp] }
+        let bulge = if x < 0.05 {
+            1.0 / 6.0 - x * (1.0 / 12.0 - x * (1.0 / 40.0 - x / 180.0))
+        } else {
+            (x - 2.0 + (x + 2.0) * decay) / x.powi(3)
+        };
+        Self { decay, weights: [one - ramp, ramp, 6.0 * bulge].map(|weight| period_s * weight), period_s }
     }
 
     /// The state one sample period later.
-    pub fn after(&self, state: f64, v0: f64, v1: f64) -> f64 {
-        self.decay * state + self.weights[0] * v0 + self.weights[1] * v1
+    pub fn after(&self, state: f64, from: &Point, to: &Point) -> f64 {
+        let [start, end, bulge] = self.weights;
+        let (v0, v1) = (from.velocity_m_s, to.velocity_m_s);
+        let mean = (to.displacement_m - from.displacement_m) / self.period_s;
+        self.decay * state + start * v0 + end * v1 + bulge * (mean - 0.5 * (v0 + v1))
     }
 }
 
@@ -75,9 +99,8 @@ pub trait Term: Send {
     /// Its force, N (opposing positive displacement is positive), and the rates of its states.
     fn force(&self, at: &Point, state: &[f64], rate: &mut [f64]) -> f64;
 
-    /// Carries its states over one sample period along an imposed motion, the velocity running
-    /// linearly between two instants: in closed form or by small steps of its own, since an imposed
-    /// motion needs no step control. Called for terms with states.
+    /// Carries its states over one sample period along an imposed motion, the cubic through two instants: in closed form or by small
+    /// steps of its own, since an imposed motion needs no step control. Called for terms with states.
     fn follow(&self, _from: &Point, _to: &Point, _state: &mut [f64]) {}
 
     /// Its states forget by a power law; they depend on the motion alone, not on what the term's parameters are.

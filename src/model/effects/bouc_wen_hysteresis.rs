@@ -75,6 +75,17 @@ impl BoucWen {
         let shape = if v * z >= 0.0 { self.beta + self.gamma } else { self.gamma - self.beta };
         1.0 - shape * power
     }
+
+    /// z after a way that does not turn: steps of Heun's, each a tenth of dy.
+    fn moved(&self, mut z: f64, way_m: f64) -> f64 {
+        let steps = (10.0 * way_m.abs() * self.inverse_dy).ceil().min(MOST_STEPS);
+        let h = way_m / steps.max(1.0);
+        for _ in 0..steps as usize {
+            let first = self.slope(z, h);
+            z += 0.5 * h * (first + self.slope(z + h * first, h));
+        }
+        z
+    }
 }
 
 impl Term for BoucWen {
@@ -92,15 +103,10 @@ impl Term for BoucWen {
     }
 
     fn follow(&self, from: &Point, to: &Point, state: &mut [f64]) {
-        // z depends on the way alone, so that the steps are of d: Heun's, each a fifth of dy.
-        let way = to.displacement_m - from.displacement_m;
-        let steps = (5.0 * way.abs() * self.inverse_dy).ceil().clamp(1.0, MOST_STEPS);
-        let h = way / steps;
-        for _ in 0..steps as usize {
-            let z = state[0];
-            let first = self.slope(z, h);
-            state[0] = z + 0.5 * h * (first + self.slope(z + h * first, h));
-        }
+        // z depends on the way alone, out to where the motion turns and back.
+        let turn = from.turns_at_m(to).unwrap_or(to.displacement_m);
+        state[0] = self.moved(state[0], turn - from.displacement_m);
+        state[0] = self.moved(state[0], to.displacement_m - turn);
     }
 
     fn tangent_n_m(&self) -> f64 {

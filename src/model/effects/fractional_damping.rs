@@ -105,7 +105,7 @@ impl Term for SpringPot {
 
     fn follow(&self, from: &Point, to: &Point, state: &mut [f64]) {
         for (u, relaxation) in state.iter_mut().zip(&self.relaxations) {
-            *u = relaxation.after(*u, from.velocity_m_s, to.velocity_m_s);
+            *u = relaxation.after(*u, from, to);
         }
     }
 

@@ -61,7 +61,7 @@ impl Term for Maxwell {
     }
 
     fn follow(&self, from: &Point, to: &Point, state: &mut [f64]) {
-        state[0] = self.relaxation.after(state[0], from.velocity_m_s, to.velocity_m_s);
+        state[0] = self.relaxation.after(state[0], from, to);
     }
 
     fn tangent_n_m(&self) -> f64 {

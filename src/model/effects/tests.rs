@@ -131,6 +131,38 @@ fn a_springpot_turns_the_force_by_its_order() {
     assert!((work / expected - 1.0).abs() < 1e-3, "{work} {expected}");
 }
 
+/// Forces over an imposed sine after two cycles of so many samples, N.
+fn forces_along(spec: &ModelSpec, amplitude: f64, samples: u32) -> Vec<f64> {
+    let w = std::f64::consts::TAU;
+    let dt = 1.0 / f64::from(samples);
+    let mut specimen = build(spec, dt).expect("builds");
+    let mut force = |i: u32| {
+        // Where it turns is between samples.
+        let (sin, cos) = (w * (f64::from(i) * dt + 0.02)).sin_cos();
+        -specimen.impose(amplitude * sin, amplitude * w * cos).mass_acceleration_m_s2 * spec.mass_kg
+    };
+    (0..3 * samples).map(&mut force).skip(2 * samples as usize).collect()
+}
+
+#[test]
+fn few_samples_of_an_imposed_cycle_tell_what_many_tell() {
+    let shape = [("kh_n_m", 1000.0), ("dy_m", 0.003), ("n", 1.3), ("beta", 0.6), ("gamma", 0.4)];
+    let sliders = [("kp_n_m", 1000.0), ("yield_min_m", 0.001), ("yield_max_m", 0.006), ("exponent", -0.3)];
+    let elements = [
+        effect("bouc-wen-hysteresis", &shape),
+        effect("iwan-hysteresis", &sliders),
+        effect("maxwell-branch", &[("km_n_m", 1000.0), ("tau_s", 0.15)]),
+    ];
+    for element in elements {
+        let mut spec = oscillator(1.0, 0.0, 0.0);
+        spec.effects.push(element);
+        let (few, many) = (forces_along(&spec, 0.01, 14), forces_along(&spec, 0.01, 1400));
+        let most = many.iter().map(|f| f.abs()).fold(0.0, f64::max);
+        let off = few.iter().zip(many.iter().step_by(100)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off < 2e-3 * most, "{:?}: {off} of {most}", spec.effects);
+    }
+}
+
 #[test]
 fn hysteresis_closes_its_loop_and_does_not_know_time() {
     for hysteresis in [

@@ -20,14 +20,21 @@ impl<const N: usize> General<N> {
     pub(super) fn impose_sampled(&mut self, d: f64, v: f64, line: Line) -> Response {
         let dt = self.system.sample_period_s;
         let before = self.contact_forces();
+        let at = |time_s, displacement_m, velocity_m_s| Point {
+            time_s,
+            displacement_m,
+            velocity_m_s,
+            ..Point::default()
+        };
+        let (from, to) = (at(self.time_s, self.y[0], self.y[1]), at(self.time_s + dt, d, v));
         if self.turns {
-            self.commit_vertex(v, dt, line);
+            self.commit_vertex(&from, &to);
         }
         if let Some(stand) = self.system.stand {
             self.follow_stand(&stand, d, v);
         }
         if self.integrates {
-            self.follow_terms(d, v, dt);
+            self.follow_terms(&from, &to);
         }
         (self.y[0], self.y[1]) = (d, v);
         self.time_s += dt;
@@ -99,14 +106,8 @@ impl<const N: usize> General<N> {
     }
 
     /// Tells terms that remember reversals where the motion turned within the coming sample.
-    fn commit_vertex(&mut self, v: f64, dt: f64, line: Line) {
-        let before = self.y[1];
-        if before * v >= 0.0 {
-            return;
-        }
-        let part = before / (before - v);
-        let t = part * dt;
-        let vertex = self.y[0] + before * t + 0.5 * line.start * t * t + line.slope * t * t * t / 6.0;
+    fn commit_vertex(&mut self, from: &Point, to: &Point) {
+        let Some(vertex) = from.turns_at_m(to) else { return };
         self.system.isolator_terms.iter_mut().for_each(|term| term.commit(vertex));
         self.system.mass_terms.iter_mut().for_each(|term| term.commit(vertex));
     }
@@ -127,22 +128,14 @@ impl<const N: usize> General<N> {
         }
     }
 
-    /// Carries the states of the terms to displacement `d` and velocity `v`.
-    fn follow_terms(&mut self, d: f64, v: f64, dt: f64) {
-        let point = |time_s, displacement_m, velocity_m_s| Point {
-            time_s,
-            displacement_m,
-            velocity_m_s,
-            ..Point::default()
-        };
-        let from = point(self.time_s, self.y[0], self.y[1]);
-        let to = point(self.time_s + dt, d, v);
+    /// Carries the states of the terms from one instant to another.
+    fn follow_terms(&mut self, from: &Point, to: &Point) {
         let mut at = self.layout.terms;
         // In the order in which the rates go through them.
         for term in self.system.mass_terms.iter().chain(&self.system.isolator_terms) {
             let end = at + term.states();
             if end > at {
-                term.follow(&from, &to, &mut self.y[at..end]);
+                term.follow(from, to, &mut self.y[at..end]);
             }
             at = end;
         }
