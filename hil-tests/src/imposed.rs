@@ -26,6 +26,9 @@ pub const SPRING: Rig = Rig { stiffness_n_m: 2e5, damping_n_s_m: 3e3, displaceme
 /// Mostly a dashpot: the noise of its displacement comes out in the force by way of the velocity.
 pub const DASHPOT: Rig = Rig { stiffness_n_m: 2e4, damping_n_s_m: 2e4, displacement_noise_m: 2e-5 };
 
+/// A dashpot that no spring holds back.
+pub const FREE_DASHPOT: Rig = Rig { stiffness_n_m: 0.0, damping_n_s_m: 5e3, displacement_noise_m: 5e-7 };
+
 /// A rig as someone takes it to be, some per cent off.
 pub fn nominal(rig: Rig) -> ModelSpec {
     ModelSpec {
@@ -51,6 +54,13 @@ pub fn hysteresis(rig: Rig, [kh, dy, n, gamma]: [f64; 4], seed: u64) -> Record {
         let half = z + 0.5 * (x1 - x0) * slope(z);
         z += (x1 - x0) * slope(half);
         rig.stiffness_n_m * x1 + rig.damping_n_s_m * (x1 - x0) / h_s + kh * z
+    })
+}
+
+/// Dry friction beside a rig's spring and dashpot, N.
+pub fn friction(rig: Rig, friction_n: f64, seed: u64) -> Record {
+    record("friction", rig, seed, move |[x0, x1], h_s| {
+        rig.stiffness_n_m * x1 + rig.damping_n_s_m * (x1 - x0) / h_s + friction_n * (x1 - x0).signum()
     })
 }
 

@@ -1,8 +1,9 @@
 //! The diagnosis on components of other rigs: a displacement imposed, a force measured.
 
-use hil_tests::imposed::{DASHPOT, Rig, SPRING, hysteresis, joint, nominal};
+use hil_tests::imposed::{DASHPOT, FREE_DASHPOT, Rig, SPRING, friction, hysteresis, joint, nominal};
+use shaketable::diagnose::adding::add;
 use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose};
-use shaketable::model::ModelSpec;
+use shaketable::model::{EffectSpec, ModelSpec};
 use shaketable::record::Record;
 
 /// What is found where one effect is missing.
@@ -80,4 +81,38 @@ fn a_force_that_drifts_is_no_physics() {
     let found = found(&record, SPRING, "bouc-wen-hysteresis");
     assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
     assert!(found.notes.iter().any(|note| note.starts_with("the force drifts by")), "{:?}", found.notes);
+}
+
+#[test]
+fn a_dashpot_that_nothing_holds_back_is_fitted() {
+    // It was left as it was given, and a Maxwell branch or a springpot was named in place of what it was off.
+    let healthy = friction(FREE_DASHPOT, 0.0, 7);
+    let adequate = diagnose(&healthy, &nominal(FREE_DASHPOT), &Options::default()).expect("a sound record");
+    assert_eq!(adequate.verdict, Verdict::Adequate, "{:?}", adequate.effects);
+    let found = found(&friction(FREE_DASHPOT, 20.0, 8), FREE_DASHPOT, "coulomb-friction");
+    for number in adequate.reidentified.iter().chain(&found.reidentified) {
+        assert_eq!(number.key, "isolator.damping_n_s_m");
+        assert!((number.value / FREE_DASHPOT.damping_n_s_m - 1.0).abs() < 2e-3, "{number:?}");
+    }
+    let told = &found.effects[0].parameters["fc_n"];
+    assert!(told.low95 < 20.0 && told.high95 > 20.0 && told.low95 > 18.0, "{told:?}");
+}
+
+#[test]
+fn what_is_added_explains_as_much_as_was_promised_and_knows_no_less() {
+    // The shape was left out when it was added; and how strong it is was told as if the rest of it were known.
+    let shape = [("kh_n_m", 2e5), ("dy_m", 1.4e-3), ("n", 1.6), ("gamma", 0.2)];
+    let record = hysteresis(SPRING, shape.map(|(_, value)| value), 9);
+    let found = found(&record, SPRING, "bouc-wen-hysteresis");
+    let start = [("kh_n_m", 5e4), ("dy_m", 3e-3)].map(|(name, value)| (name.to_owned(), value));
+    let given = EffectSpec { name: "bouc-wen-hysteresis".into(), expression: None, parameters: start.into() };
+    let added = add(&record, &nominal(SPRING), &given, &[]).expect("fits");
+    let after = added.error_after.expect("known");
+    assert!((after / found.error_after - 1.0).abs() < 0.01, "{after} {}", found.error_after);
+    for (name, told) in &found.effects[0].parameters {
+        let key = format!("effect[0].{name}");
+        let number = added.parameters.iter().find(|number| number.key == key).expect("fitted");
+        let times = (number.high95 - number.low95) / (told.high95 - told.low95);
+        assert!((0.8..1.25).contains(&times), "{name}: {number:?} {told:?}");
+    }
 }

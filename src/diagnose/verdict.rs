@@ -287,13 +287,14 @@ fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(
     Some((chosen, rivals))
 }
 
-/// Where contacts begin and end moves by whole samples, which a linearised fit does not see: the amplitude of the added
-/// effect is known at least as well as the fall of the sum of squares from zero amplitude says.
+/// Where contacts begin and end moves by whole samples, which a linearised fit does not see: the amplitude of an added
+/// effect that has no other number is known at least as well as the fall of the sum of squares from zero amplitude says. Beside another one
+/// that fall is not of second order: a hysteresis of no stiffness has no yield displacement either.
 fn sharpen(trial: &mut Trial, from: &Trial) {
     let gained = trial.training_gain(from);
-    let leading = leading(trial);
+    let alone = leading(trial).filter(|_| trial.dimension() == from.dimension() + 1);
     let refit = &mut trial.refit;
-    if let Some(j) = leading.filter(|j| !refit.numbers.numbers[*j].logarithmic)
+    if let Some(j) = alone.filter(|j| !refit.numbers.numbers[*j].logarithmic)
         && gained > 0.0
     {
         refit.sigmas[j] = refit.sigmas[j].min(refit.fit.values[j].abs() / (2.0 * gained).sqrt());

@@ -40,8 +40,6 @@ impl Numbers {
         }
         let isolator = u.isolator.unwrap_or_default();
         let slope = |i: usize| isolator.stiffness_n_m.get(i).or(isolator.stiffness_n_m.last()).copied();
-        // What drags a mass that nothing holds back is a guess as good as any.
-        let unloaded = kind == Kind::Component && nominal.isolator.stiffness_n_m.iter().all(|k| *k == 0.0);
         for (i, k) in nominal.isolator.stiffness_n_m.iter().enumerate() {
             // A slope of zero is a statement (a friction device has no spring), not a guess.
             if *k != 0.0 {
@@ -53,7 +51,7 @@ impl Numbers {
             out.relative(&format!("isolator.breakpoints_m[{i}]"), *x, width);
         }
         let c = nominal.isolator.damping_n_s_m;
-        if c != 0.0 && !unloaded {
+        if c != 0.0 {
             out.relative("isolator.damping_n_s_m", c, isolator.damping_n_s_m.unwrap_or(0.10));
         }
         if let Some(bumper) = &nominal.bumper {
