@@ -149,7 +149,9 @@ pub struct Stand {
     /// N s/m.
     pub damping_n_s_m: f64,
     /// One sample period of its motion alone, and with a linear bumper pressed against it.
-    pub sampled: [Oscillation; 2],
+    sampled: [Oscillation; 2],
+    /// That period, s.
+    period_s: f64,
 }
 
 impl Stand {
@@ -161,14 +163,28 @@ impl Stand {
         law: &ContactLaw,
         period_s: f64,
     ) -> Self {
-        let sampled = [(0.0, 0.0), (law.linear_n_m, law.damping_n_s_m)].map(|(k, c)| {
-            Oscillation::new((stiffness_n_m + k) / mass_kg, (damping_n_s_m + c) / mass_kg, period_s)
-        });
-        Self { stiffness_n_m, mass_kg, damping_n_s_m, sampled }
+        let sampled = [Oscillation::default(); 2];
+        let mut stand = Self { stiffness_n_m, mass_kg, damping_n_s_m, sampled, period_s };
+        stand.sampled = [false, true].map(|pressed| stand.oscillation(pressed, law, period_s));
+        stand
+    }
+
+    /// Its motion alone over some time, s, or with a linear bumper pressed against it.
+    pub fn alone(&self, pressed: bool, law: &ContactLaw, during_s: f64) -> Oscillation {
+        if during_s == self.period_s {
+            return self.sampled[usize::from(pressed)];
+        }
+        self.oscillation(pressed, law, during_s)
+    }
+
+    fn oscillation(&self, pressed: bool, law: &ContactLaw, during_s: f64) -> Oscillation {
+        let (k, c) = if pressed { (law.linear_n_m, law.damping_n_s_m) } else { (0.0, 0.0) };
+        let over_mass = |own: f64, more: f64| (own + more) / self.mass_kg;
+        Oscillation::new(over_mass(self.stiffness_n_m, k), over_mass(self.damping_n_s_m, c), during_s)
     }
 }
 
-/// One sample period of u'' + c u' + k u = f in closed form, f running linearly.
+/// Some time of u'' + c u' + k u = f in closed form, f running linearly.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Oscillation {
     /// (u, u') at the end by u, u', f at the beginning, f at the end.
@@ -176,26 +192,26 @@ pub struct Oscillation {
 }
 
 impl Oscillation {
-    /// For k (1/s2), c (1/s) and a sample period (s).
-    pub fn new(k: f64, c: f64, period_s: f64) -> Self {
-        let h = period_s;
-        // States u, u', f and its slope: the exponential of the augmented matrix.
+    /// For k (1/s2), c (1/s) and some time (s), which may be next to nothing.
+    pub fn new(k: f64, c: f64, during_s: f64) -> Self {
+        let h = during_s;
+        // States u, h u', h2 f and its rise, of one magnitude however short the time: the exponential of the augmented matrix.
         #[rustfmt::skip]
         let e = nalgebra::Matrix4::new(
-            0.0, h, 0.0, 0.0,
-            -k * h, -c * h, h, 0.0,
-            0.0, 0.0, 0.0, h,
+            0.0, 1.0, 0.0, 0.0,
+            -k * h * h, -c * h, 1.0, 0.0,
+            0.0, 0.0, 0.0, 1.0,
             0.0, 0.0, 0.0, 0.0,
         )
         .exp();
-        let rows = [0, 1].map(|i| {
-            let end = e[(i, 3)] / h;
-            [e[(i, 0)], e[(i, 1)], e[(i, 2)] - end, end]
+        let rows = [(0, 1.0), (1, 1.0 / h)].map(|(i, over)| {
+            let end = e[(i, 3)] * h * h;
+            [e[(i, 0)], e[(i, 1)] * h, e[(i, 2)] * h * h - end, end].map(|of| of * over)
         });
         Self { rows }
     }
 
-    /// u and u' one sample period later, from the forces at both ends (m/s2).
+    /// u and u' at the end of it, from the forces at both ends (m/s2).
     pub fn after(&self, u: f64, rate: f64, f0: f64, f1: f64) -> (f64, f64) {
         let at = |row: &[f64; 4]| row[0] * u + row[1] * rate + row[2] * f0 + row[3] * f1;
         (at(&self.rows[0]), at(&self.rows[1]))

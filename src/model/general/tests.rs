@@ -86,6 +86,29 @@ fn imposing_the_simulated_motion_returns_the_simulated_force() {
 }
 
 #[test]
+fn a_stand_under_a_linear_bumper_is_followed_as_closely_as_one_that_is_searched_for_events() {
+    // A nonlinear bumper is, and this one is next to linear.
+    let forces = |mu: f64| {
+        let mut spec = b1_g2();
+        spec.bumper.as_mut().expect("has bumpers").damping_n_s_m = 700.0;
+        spec.effects.push(effect("stand-compliance", &[("ks_n_m", 2e5), ("ms_kg", 3.0), ("zeta", 0.05)]));
+        if mu > 0.0 {
+            spec.effects.push(effect("hunt-crossley-damping", &[("mu_n_s_m2", mu)]));
+        }
+        let mut specimen = build(&spec, 2e-3).expect("builds");
+        let (w, d) = (TAU * 1.7, 0.016);
+        let at = |i: i32| (w * f64::from(i) * 2e-3).sin_cos();
+        let imposed = (0..5000).map(|i| at(i)).map(|(sin, cos)| specimen.impose(d * sin, d * w * cos));
+        imposed.map(|response| response.right_contact_force_n).collect::<Vec<f64>>()
+    };
+    let rms = |x: &mut dyn Iterator<Item = f64>| x.map(|x| x * x).sum::<f64>().sqrt();
+    let (sampled, searched) = (forces(0.0), forces(1e-3));
+    let apart = rms(&mut sampled.iter().zip(&searched).map(|(a, b)| a - b));
+    let share = apart / rms(&mut searched.iter().copied());
+    assert!(share < 1e-3, "{share}");
+}
+
+#[test]
 fn a_blow_that_turned_between_two_samples_is_felt_on_the_way_back() {
     let mut spec = b1_g2();
     spec.effects.push(effect("bumper-stiffening", &[("kb3_n_m3", 3e8)]));
