@@ -145,7 +145,7 @@ fn fitted(
     let scales = candidates::scales(&base.refit.spec, motion);
     let mut starts = vec![given.clone()];
     if effect.place != Place::User {
-        starts.extend(candidates::starts(effect, &scales));
+        starts.extend(searcher.starts(effect, &scales));
     }
     for start in &mut starts {
         let fixed = given.parameters.iter().filter(|(name, _)| fixed_start.contains(&name.as_str()));

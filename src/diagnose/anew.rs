@@ -6,9 +6,10 @@ use super::search::{Search, Searcher, Stage, UNSEEN};
 use super::trial::{self, Response, Trial};
 use super::verdict;
 use crate::identify::least_squares::Settings;
-use crate::identify::problem::Part;
+use crate::identify::problem::{Part, Problem};
 use crate::identify::refit::Refit;
 use crate::identify::response::{Measured, Until};
+use crate::model::ModelSpec;
 use crate::parallel;
 
 /// Nats by which a model has to do better when it is fitted again.
@@ -164,6 +165,27 @@ impl Searcher<'_> {
             });
         tried.collect()
     }
+}
+
+/// A knee or gap just beyond the motion has no slope to follow, although the truth may lie within: such numbers are tried
+/// from there.
+pub(super) fn reached(problem: &Problem<'_>, nominal: &ModelSpec, fit: Refit) -> Refit {
+    let mut best = fit;
+    for j in 0..best.numbers.numbers.len() {
+        let (key, prior) = (best.numbers.numbers[j].key.clone(), best.numbers.free[j].prior);
+        let edge = key.starts_with("isolator.breakpoints_m") || key == "bumper.total_gap_m";
+        if !edge || best.sigmas[j] < UNSEEN * prior.1 {
+            continue;
+        }
+        let mut start = best.clone();
+        if start.spec.set(&key, prior.0 - 1.5 * prior.1).is_ok()
+            && let Some(other) = trial::base_by_force(problem, nominal, Some(&start))
+            && trial::objective(&other) < trial::objective(&best)
+        {
+            best = other;
+        }
+    }
+    best
 }
 
 /// A fitted model fitted on for so many rounds with what has been told since.

@@ -3,22 +3,20 @@
 use crate::identify::motion::Motion;
 use crate::model::effects::{self, Effect, Parameter, Place, Sign};
 use crate::model::{EffectSpec, ModelSpec, Scales};
-use crate::record::Kind;
 use std::f64::consts::TAU;
 
-/// Effects that a single record of this kind may show through the motion of the specimen, in the
+/// Effects that a single record may show through the motion of the specimen, in the
 /// order of the catalogue, those that the model has already left out.
 ///
 /// Instruments are judged by kinematics, the table by its own acceleration; a wrong mass looks
 /// like all stiffnesses and dampings scaled; an expression is the user's own.
-pub fn physical(spec: &ModelSpec, kind: Kind) -> Vec<&'static Effect> {
+pub fn physical(spec: &ModelSpec) -> Vec<&'static Effect> {
     effects::CATALOGUE
         .iter()
         .copied()
         .filter(|effect| {
             let judged_elsewhere = !acts_on_motion(effect) || effect.name == "table-interaction";
-            let absent = effect.needs_bumper() && spec.bumper.is_none()
-                || kind == Kind::Component && effect.name == "stand-compliance";
+            let absent = effect.needs_bumper() && spec.bumper.is_none();
             let given = spec.effects.iter().any(|given| given.name == effect.name);
             !(judged_elsewhere || absent || given)
         })
@@ -134,7 +132,7 @@ pub fn scaled(start: &EffectSpec, factor: f64, scales: &Scales) -> Option<(Effec
 /// Largest exponent of a contact that a fit starts from.
 const MOST_BENT: f64 = 3.0;
 
-/// A start that does less.
+/// A start that does less, or more.
 pub fn fainter(start: &EffectSpec, factor: f64, scales: &Scales) -> Option<EffectSpec> {
     let effect = effects::find(&start.name).ok()?;
     let leading = (effect.parameters)(scales).into_iter().find(|p| p.default.is_none())?;
@@ -189,6 +187,9 @@ const RINGING_HZ: [f64; 2] = [15.0, 700.0];
 const HEAVIEST: f64 = 0.08;
 const FASTER: f64 = 1.11;
 const STIFFER: f64 = 30.0;
+/// How many times softer a stand is tried, too, and so many of its frequencies, where no response tells how strong it is.
+const SOFTER: [f64; 3] = [1.0, 4.0, 12.0];
+const RINGINGS: usize = 20;
 const GOLDEN: f64 = 0.618_033_988_749_895;
 /// Shapes that are no nearer to each other than that are started from.
 const ALIKE: f64 = 0.1;
@@ -265,6 +266,15 @@ pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
     }
     one_of_each_shape(&mut out, &parameters, effect.name != "bumper-preload");
     out
+}
+
+/// Starts for a fit by force alone, which follows a stand neither to another frequency nor far to a softer one.
+pub fn starts_by_force(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
+    if effect.name != "stand-compliance" {
+        return starts(effect, scales);
+    }
+    let ringing = starts(effect, scales).into_iter().take(RINGINGS);
+    ringing.flat_map(|start| SOFTER.into_iter().filter_map(move |by| fainter(&start, by, scales))).collect()
 }
 
 /// Loading and unloading shape of a hysteresis that grows stiffer as it is loaded, and its yield displacements over the motion.

@@ -1,6 +1,6 @@
 //! The search for what is missing: base re-fitted, candidates one by one, then in combination.
 
-use super::anew::tells_otherwise;
+use super::anew::{reached, tells_otherwise};
 use super::by_response::first_of_each;
 use super::candidates;
 use super::contest::{HOPELESS, best_first};
@@ -134,9 +134,15 @@ impl<'a> Searcher<'a> {
 
     /// Effects that are tried on top of a model.
     pub(super) fn candidates(&self, spec: &ModelSpec) -> Vec<&'static Effect> {
-        let mut effects = candidates::physical(spec, self.motion.kind);
+        let mut effects = candidates::physical(spec);
         effects.retain(|effect| !self.without.contains(&effect.name));
         effects
+    }
+
+    /// Where the fits of an effect begin.
+    pub(super) fn starts(&self, effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
+        let starts = if self.measured.is_some() { candidates::starts } else { candidates::starts_by_force };
+        starts(effect, scales)
     }
 
     /// The problem with the finer thinning.
@@ -270,7 +276,7 @@ impl<'a> Searcher<'a> {
         let work: Vec<(&'static str, EffectSpec)> = effects
             .iter()
             .filter(quick)
-            .flat_map(|e| candidates::starts(e, scales).into_iter().take(most).map(|s| (e.name, s)))
+            .flat_map(|e| self.starts(e, scales).into_iter().take(most).map(|s| (e.name, s)))
             .collect();
         let tried = parallel::map(&work, parallel::cores(), |(name, start)| {
             trial::in_force(&self.screening, base, start, scales, first).map(|refit| (*name, refit))
@@ -313,8 +319,8 @@ impl<'a> Searcher<'a> {
             trial::judge_by_force(&self.fitting, &names, fit)
         });
         let mut finalists: Vec<Trial> = fitted.into_iter().flatten().collect();
-        finalists.sort_by(|a, b| a.force.chi2.total_cmp(&b.force.chi2));
-        self.shape_by_force(&mut finalists, &candidates::scales(&from.refit.spec, self.motion));
+        let scales = candidates::scales(&from.refit.spec, self.motion);
+        self.shape_by_force(&mut finalists, &scales);
         finalists.sort_by(|a, b| a.force.chi2.total_cmp(&b.force.chi2));
         let close = finalists
             .iter()
@@ -460,27 +466,6 @@ impl<'a> Searcher<'a> {
         }
         search
     }
-}
-
-/// A knee or gap just beyond the motion has no slope to follow, although the truth may lie within: such numbers are tried
-/// from there.
-fn reached(problem: &Problem<'_>, nominal: &ModelSpec, fit: Refit) -> Refit {
-    let mut best = fit;
-    for j in 0..best.numbers.numbers.len() {
-        let (key, prior) = (best.numbers.numbers[j].key.clone(), best.numbers.free[j].prior);
-        let edge = key.starts_with("isolator.breakpoints_m") || key == "bumper.total_gap_m";
-        if !edge || best.sigmas[j] < UNSEEN * prior.1 {
-            continue;
-        }
-        let mut start = best.clone();
-        if start.spec.set(&key, prior.0 - 1.5 * prior.1).is_ok()
-            && let Some(other) = trial::base_by_force(problem, nominal, Some(&start))
-            && trial::objective(&other) < trial::objective(&best)
-        {
-            best = other;
-        }
-    }
-    best
 }
 
 impl Search {

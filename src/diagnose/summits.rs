@@ -276,7 +276,7 @@ mod tests {
     use super::*;
     use crate::diagnose::adding::add;
     use crate::diagnose::search::Effort;
-    use crate::diagnose::testing::{seen, with};
+    use crate::diagnose::testing::{imposed, seen, with};
     use crate::diagnose::{Options, Verdict, diagnose};
     use crate::identify::kinematics::Tolerances;
     use crate::identify::motion::Motion;
@@ -326,6 +326,24 @@ mod tests {
             add(&record, &b1_g2(), &effect("coulomb-friction", &[("fc_n", 5.0)]), &[]).expect("fitted");
         let over = added.parameters.iter().find(|p| p.key == format!("effect[0].{TURNING}")).expect("said");
         assert_eq!((over.nominal, Some(&over.value)), (0.0, added.model.effects[0].parameters.get(TURNING)));
+    }
+
+    /// The effects that are named on the force that a motion imposed on a specimen takes.
+    fn named_of_a_component(of: EffectSpec) -> Vec<crate::diagnose::report::NamedEffect> {
+        let mut truth = b1_g2();
+        truth.isolator.damping_n_s_m *= 1.05;
+        truth.effects.push(of);
+        diagnose(&imposed(&truth, 51), &b1_g2(), &Options::default()).expect("a sound record").effects
+    }
+
+    #[test]
+    fn a_stand_is_named_where_a_bumper_alone_is_pressed() {
+        let stand = [("ks_n_m", 1e5), ("ms_kg", 3.0), ("zeta", 0.05)];
+        let found = named_of_a_component(effect("stand-compliance", &stand));
+        let names: Vec<&str> = found.iter().map(|of| of.name.as_str()).collect();
+        assert_eq!(names, ["stand-compliance"]);
+        let told = found[0].parameters["ks_n_m"].value;
+        assert!((told / 1e5 - 1.0).abs() < 0.05, "{told}");
     }
 
     #[test]

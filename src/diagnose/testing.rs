@@ -42,6 +42,31 @@ pub fn seen_over(spec: &ModelSpec, sweep: &SweepSpec, seed: u64) -> Record {
     record
 }
 
+/// The force that a motion imposed on a model takes, steps of several frequencies and amplitudes, with some noise on both.
+pub fn imposed(spec: &ModelSpec, seed: u64) -> Record {
+    const RATE_HZ: f64 = 1000.0;
+    const CYCLES: f64 = 6.0;
+    let mut random = rand_pcg::Pcg64::seed_from_u64(seed);
+    let normal = rand_distr::Normal::new(0.0, 1.0).expect("valid");
+    let mut hiss = |sigma: f64| sigma * normal.sample(&mut random);
+    let mut specimen = crate::model::build(spec, 1.0 / RATE_HZ).expect("builds");
+    let mut record = Record::empty("test", Kind::Component, RATE_HZ);
+    let steps = [(0.7, 0.014), (1.1, 0.016), (1.9, 0.015), (2.6, 0.013), (0.9, 0.015), (1.5, 0.014)];
+    for (step, (frequency_hz, amplitude_m)) in (0i32..).zip(steps) {
+        let w = std::f64::consts::TAU * frequency_hz;
+        for i in 0..(CYCLES * RATE_HZ / frequency_hz) as usize {
+            let (sin, cos) = (w * i as f64 / RATE_HZ).sin_cos();
+            let force_n = -spec.mass_kg
+                * specimen.impose(amplitude_m * sin, amplitude_m * w * cos).mass_acceleration_m_s2;
+            record.time_s.push(record.time_s.len() as f64 / RATE_HZ);
+            record.displacement_m.push(amplitude_m * sin + hiss(2e-6));
+            record.force_n.push(force_n + hiss(1.0));
+            record.step.push(step);
+        }
+    }
+    record
+}
+
 /// A fitted model with effects more, fitted by the response.
 pub fn with(searcher: &Searcher<'_>, base: &Trial, effects: &[EffectSpec], settings: Settings) -> Trial {
     let scales = candidates::scales(&base.refit.spec, searcher.motion);

@@ -293,10 +293,15 @@ pub fn in_force(
     scales: &Scales,
     settings: Settings,
 ) -> Option<Refit> {
-    let mut spec = from.spec.clone();
-    spec.effects.push(start.clone());
+    let spec = if start.name == "stand-compliance" {
+        super::candidates::beside(&from.spec, start)
+    } else {
+        let mut spec = from.spec.clone();
+        spec.effects.push(start.clone());
+        spec
+    };
     let mut numbers = from.numbers.clone();
-    numbers.start_from(&from.spec);
+    numbers.start_from(&spec);
     numbers.add_effect(&spec, spec.effects.len() - 1, scales);
     refit(problem, &spec, &numbers, from.zero_m, Domain::Force, Part::Training, settings)
 }

@@ -44,7 +44,7 @@ fn scores(measured: &Measured<'_>, motion: &Motion) -> Vec<(&'static str, f64)> 
         };
         (e.name, candidates::starts(e, &scales).into_iter().filter_map(nats).fold(0.0, f64::max))
     };
-    let mut all: Vec<_> = candidates::physical(&spec, motion.kind).iter().map(best).collect();
+    let mut all: Vec<_> = candidates::physical(&spec).iter().map(best).collect();
     all.sort_by(|a, b| b.1.total_cmp(&a.1));
     all
 }
