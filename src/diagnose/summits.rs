@@ -13,6 +13,7 @@ use crate::identify::response::{Measured, Until};
 use crate::model::effects::coulomb_friction::TURNING;
 use crate::model::{EffectSpec, ModelSpec, Scales, effects};
 use crate::parallel;
+use crate::record::Kind;
 
 /// How the shape of an effect is fitted.
 const OF_SHAPE: Settings = Settings { iterations: 12, ..FURTHER_ON };
@@ -62,6 +63,30 @@ impl Searcher<'_> {
             (verdict::apart(&shaped, trial) > WORTH).then_some(shaped)
         };
         replace_where_told(finalists, reshaped);
+    }
+
+    /// Coulomb's friction that turns round smoothly in place of one that sticks, or beside a Stribeck's that makes up for it, by the force
+    /// along the measured motion.
+    pub(super) fn turning_by_force(&self, finalists: &mut Vec<Trial>, scales: &Scales) {
+        let coulomb =
+            |without: &ModelSpec| self.candidates(without).iter().any(|e| e.name == "coulomb-friction");
+        let of = |found: &dyn Fn(&Trial) -> bool| finalists.iter().position(|trial| found(trial));
+        let falling =
+            |trial: &Trial| verdict::last_name(trial) == "stribeck-friction" && coulomb(&trial.refit.spec);
+        let sticking = of(&is_sticking);
+        // The motion of a component is imposed: that of a mass moves with what holds it.
+        let component = self.motion.kind == Kind::Component;
+        let Some(place) = sticking.or_else(|| of(&falling)).filter(|_| component) else { return };
+        let from = &finalists[place];
+        let turning = parallel::map(&TURNS, parallel::cores(), |share| {
+            self.fitted_by_force(&turned(from, share * scales.velocity_m_s, scales)?)
+        });
+        let best = turning.into_iter().flatten().min_by(|a, b| a.objective.total_cmp(&b.objective));
+        let Some(best) = best.filter(|best| verdict::apart(best, from) > WORTH) else { return };
+        match sticking {
+            Some(place) => finalists[place] = best,
+            None => finalists.push(best),
+        }
     }
 
     /// Limits of the numbers of an explanation that hold although the shape of its last effect was left out: it was since it did not pay,
@@ -219,6 +244,16 @@ fn is_sticking(trial: &Trial) -> bool {
     verdict::last_name(trial) == "coulomb-friction" && !turns
 }
 
+/// A trial whose friction, Coulomb's or Stribeck's, added last, is to be one of Coulomb's that turns round over such a velocity.
+fn turned(trial: &Trial, over_m_s: f64, scales: &Scales) -> Option<Trial> {
+    let mut spec = trial.refit.spec.clone();
+    let effect = spec.effects.last_mut()?;
+    let constant = *effect.parameters.get("fc_n")?;
+    effect.name = "coulomb-friction".into();
+    effect.parameters = [("fc_n".into(), constant), (TURNING.into(), over_m_s)].into_iter().collect();
+    with_last(trial, spec, scales)
+}
+
 /// A trial whose model differs in its last effect, which may be another one; its numbers are to be fitted as the model has them.
 fn with_last(from: &Trial, spec: ModelSpec, scales: &Scales) -> Option<Trial> {
     let index = spec.effects.len().checked_sub(1)?;
@@ -334,6 +369,18 @@ mod tests {
         truth.isolator.damping_n_s_m *= 1.05;
         truth.effects.push(of);
         diagnose(&imposed(&truth, 51), &b1_g2(), &Options::default()).expect("a sound record").effects
+    }
+
+    #[test]
+    fn the_friction_of_a_component_turns_round_over_a_velocity_that_shows() {
+        for over_m_s in [0.0, 0.01] {
+            let found =
+                named_of_a_component(effect("coulomb-friction", &[("fc_n", 60.0), (TURNING, over_m_s)]));
+            let names: Vec<&str> = found.iter().map(|of| of.name.as_str()).collect();
+            assert_eq!(names, ["coulomb-friction"], "{over_m_s}");
+            let told = found[0].parameters.get(TURNING).map_or(0.0, |told| told.value);
+            assert!((told - over_m_s).abs() < 1e-3, "{told} {over_m_s}");
+        }
     }
 
     #[test]
