@@ -74,7 +74,13 @@ pub fn judge(found: &Instruments, record: &Record, tolerances: Tolerances) -> Ve
     }
     let late = found.accelerometers_late_s();
     if beyond(late, 0.0, tolerances.delay_s) {
-        out.push(finding("accelerometer-delay", "dt_s", "s", late, &format!("A comes late against {rest}")));
+        // Nothing comes before it happens.
+        let text = if late.value < 0.0 {
+            format!("A comes early against {rest}, as behind a coupling that blocks what is slow (AC)")
+        } else {
+            format!("A comes late against {rest}")
+        };
+        out.push(finding("accelerometer-delay", "dt_s", "s", late, &text));
     }
     // A gain is a finding from twice its tolerance: the priors that share the ratios between laser,
     // accelerometers and leak are as wide as the tolerances themselves.
