@@ -70,7 +70,7 @@ impl Searcher<'_> {
     pub(super) fn turning_by_force(&self, finalists: &mut Vec<Trial>, scales: &Scales) {
         let coulomb =
             |without: &ModelSpec| self.candidates(without).iter().any(|e| e.name == "coulomb-friction");
-        let of = |found: &dyn Fn(&Trial) -> bool| finalists.iter().position(|trial| found(trial));
+        let of = |found: &dyn Fn(&Trial) -> bool| finalists.iter().position(found);
         let falling =
             |trial: &Trial| verdict::last_name(trial) == "stribeck-friction" && coulomb(&trial.refit.spec);
         let sticking = of(&is_sticking);

@@ -5,6 +5,7 @@
 
 mod check;
 pub mod contact;
+pub mod cubic;
 pub mod effects;
 pub(crate) mod elementary;
 #[cfg(test)]

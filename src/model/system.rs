@@ -2,6 +2,7 @@
 //! effects add. Effects write into it once, at construction; the solvers read it.
 
 use super::contact::ContactLaw;
+use super::cubic::Cubic;
 use super::observe::Instruments;
 use super::{ModelError, ModelSpec, effects};
 
@@ -34,21 +35,6 @@ impl Point {
             self.time_s,
         ]
     }
-
-    /// Displacement at which a motion turns on the cubic from here to another instant, m; none where it does not.
-    pub(super) fn turns_at_m(&self, to: &Self) -> Option<f64> {
-        let (v0, v1, dt) = (self.velocity_m_s, to.velocity_m_s, to.time_s - self.time_s);
-        if v0 * v1 >= 0.0 {
-            return None;
-        }
-        // Its velocity is v0 (1 - s) + v1 s + bulge s (1 - s), of opposite sign at both ends: one root between.
-        let bulge = 6.0 * ((to.displacement_m - self.displacement_m) / dt - 0.5 * (v0 + v1));
-        let linear = v1 - v0 + bulge;
-        let root = (linear * linear + 4.0 * bulge * v0).sqrt();
-        let s = -2.0 * v0 / (linear + root.copysign(v1 - v0));
-        let way = s * (v0 + s * (0.5 * linear - s * bulge / 3.0));
-        s.is_finite().then_some(self.displacement_m + dt * way)
-    }
 }
 
 /// Carries u' = v - u/tau over one sample period in closed form along the cubic through displacement and velocity at both its ends.
@@ -57,7 +43,6 @@ pub struct Relaxation {
     decay: f64,
     /// Weights of v at the beginning and at the end, and of what its mean is more than theirs.
     weights: [f64; 3],
-    period_s: f64,
 }
 
 impl Relaxation {
@@ -77,15 +62,13 @@ impl Relaxation {
         } else {
             (x - 2.0 + (x + 2.0) * decay) / x.powi(3)
         };
-        Self { decay, weights: [one - ramp, ramp, 6.0 * bulge].map(|weight| period_s * weight), period_s }
+        Self { decay, weights: [one - ramp, ramp, 6.0 * bulge].map(|weight| period_s * weight) }
     }
 
     /// The state one sample period later.
-    pub fn after(&self, state: f64, from: &Point, to: &Point) -> f64 {
+    pub fn after(&self, state: f64, course: &Cubic) -> f64 {
         let [start, end, bulge] = self.weights;
-        let (v0, v1) = (from.velocity_m_s, to.velocity_m_s);
-        let mean = (to.displacement_m - from.displacement_m) / self.period_s;
-        self.decay * state + start * v0 + end * v1 + bulge * (mean - 0.5 * (v0 + v1))
+        self.decay * state + start * course.from.1 + end * course.to.1 + bulge * course.bulge_m_s()
     }
 }
 

@@ -1,6 +1,7 @@
 //! Rate-independent hysteresis of Bouc (1967) and Wen (1976).
 
 use super::{Effect, Parameter, Place};
+use crate::model::cubic::Cubic;
 use crate::model::system::{Point, Term};
 
 /// `bouc-wen-hysteresis`.
@@ -104,7 +105,7 @@ impl Term for BoucWen {
 
     fn follow(&self, from: &Point, to: &Point, state: &mut [f64]) {
         // z depends on the way alone, out to where the motion turns and back.
-        let turn = from.turns_at_m(to).unwrap_or(to.displacement_m);
+        let turn = Cubic::between(from, to).turns_at_m().unwrap_or(to.displacement_m);
         state[0] = self.moved(state[0], turn - from.displacement_m);
         state[0] = self.moved(state[0], to.displacement_m - turn);
     }

@@ -4,6 +4,7 @@
 //! from 0.05 to 15 Hz, and within 2 % up to 50 Hz.
 
 use super::{Effect, Parameter, Place};
+use crate::model::cubic::Cubic;
 use crate::model::system::{Point, Relaxation, Term};
 use std::f64::consts::PI;
 
@@ -104,8 +105,9 @@ impl Term for SpringPot {
     }
 
     fn follow(&self, from: &Point, to: &Point, state: &mut [f64]) {
+        let course = Cubic::between(from, to);
         for (u, relaxation) in state.iter_mut().zip(&self.relaxations) {
-            *u = relaxation.after(*u, from, to);
+            *u = relaxation.after(*u, &course);
         }
     }
 

@@ -1,6 +1,7 @@
 //! Spring and dashpot in series beside the main spring: relaxation (Maxwell 1867, Zener 1948).
 
 use super::{Effect, Parameter, Place};
+use crate::model::cubic::Cubic;
 use crate::model::system::{Point, Relaxation, Term};
 
 /// `maxwell-branch`.
@@ -61,7 +62,7 @@ impl Term for Maxwell {
     }
 
     fn follow(&self, from: &Point, to: &Point, state: &mut [f64]) {
-        state[0] = self.relaxation.after(state[0], from, to);
+        state[0] = self.relaxation.after(state[0], &Cubic::between(from, to));
     }
 
     fn tangent_n_m(&self) -> f64 {

@@ -114,7 +114,7 @@ fn failure_of(index: usize, samples: &[Guards], values: &mut impl FnMut(f64) -> 
         let (low, high) = ((i - 1) as f64 / pieces, i as f64 / pieces);
         if after < 0.0 {
             return Some(if armed && before > 0.0 {
-                root(index, (low, before), (high, after), values)
+                root((low, before), (high, after), |part| values(part)[index])
             } else {
                 late_start(index, low, high, armed, values)
             });
@@ -128,7 +128,7 @@ fn failure_of(index: usize, samples: &[Guards], values: &mut impl FnMut(f64) -> 
                 let part = (i as f64 + 0.5 * (before - next) / bend) / pieces;
                 let vertex = values(part)[index];
                 if vertex < 0.0 {
-                    return Some(root(index, (low, before), (part, vertex), values));
+                    return Some(root((low, before), (part, vertex), |part| values(part)[index]));
                 }
             }
         }
@@ -139,7 +139,7 @@ fn failure_of(index: usize, samples: &[Guards], values: &mut impl FnMut(f64) -> 
         if middle < 0.0 && armed {
             let start = values(from)[index];
             return Some(if start > 0.0 {
-                root(index, (from, start), (0.5 * (from + to), middle), values)
+                root((from, start), (0.5 * (from + to), middle), |part| values(part)[index])
             } else {
                 from
             });
@@ -156,15 +156,16 @@ fn late_start(index: usize, low: f64, high: f64, armed: bool, values: &mut impl 
         let value = values(next)[index];
         if value > 0.0 {
             let after = values(part)[index];
-            return root(index, (next, value), (part, after), values);
+            return root((next, value), (part, after), |part| values(part)[index]);
         }
         part = next;
     }
     if armed { low } else { 0.0 }
 }
 
-/// Root of one guard in a bracket, by the Illinois variant of false position, to the last bits.
-fn root(index: usize, above: (f64, f64), below: (f64, f64), values: &mut impl FnMut(f64) -> Guards) -> f64 {
+/// Where a value falls through zero, between two places with what it is there, by the Illinois variant of false position (M. Dowell and
+/// P. Jarratt, BIT 11 (1971) 168), to the last bits.
+pub(super) fn root(above: (f64, f64), below: (f64, f64), mut of: impl FnMut(f64) -> f64) -> f64 {
     let ((mut a, mut fa), (mut b, mut fb)) = (above, below);
     let mut side = 0_i8;
     for round in 0..200 {
@@ -174,7 +175,7 @@ fn root(index: usize, above: (f64, f64), below: (f64, f64), values: &mut impl Fn
         let secant = a + (b - a) * fa / (fa - fb);
         // Every third point halves the bracket: where a value is rounding alone, false position stalls.
         let part = if round % 3 < 2 && secant > a && secant < b { secant } else { 0.5 * (a + b) };
-        let value = values(part)[index];
+        let value = of(part);
         if value > 0.0 {
             (a, fa) = (part, value);
             fb *= if side == 1 { 0.5 } else { 1.0 };

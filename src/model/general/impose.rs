@@ -6,8 +6,10 @@
 
 use super::super::Response;
 use super::super::contact::ContactLaw;
+use super::super::cubic::Cubic;
 use super::super::system::{Point, Stand};
 use super::dynamics::{Joint, Line, Sliding, Tip};
+use super::events::root;
 use super::specimen::General;
 
 impl<const N: usize> General<N> {
@@ -108,7 +110,7 @@ impl<const N: usize> General<N> {
 
     /// Tells terms that remember reversals where the motion turned within the coming sample.
     fn commit_vertex(&mut self, from: &Point, to: &Point) {
-        let Some(vertex) = from.turns_at_m(to) else { return };
+        let Some(vertex) = Cubic::between(from, to).turns_at_m() else { return };
         self.system.isolator_terms.iter_mut().for_each(|term| term.commit(vertex));
         self.system.mass_terms.iter_mut().for_each(|term| term.commit(vertex));
     }
@@ -121,7 +123,7 @@ impl<const N: usize> General<N> {
             let (sign, gap) =
                 if side == 0 { (1.0, self.system.gap_right_m) } else { (-1.0, self.system.gap_left_m) };
             let i = self.layout.stand + 2 * side;
-            let mass = Course {
+            let mass = Cubic {
                 from: (sign * self.y[0] - gap, sign * self.y[1]),
                 to: (sign * d - gap, sign * v),
                 during_s: dt,
@@ -129,7 +131,7 @@ impl<const N: usize> General<N> {
             let base = (sign * self.y[i], sign * self.y[i + 1]);
             let (contact, tip) = (self.mode.contact[side], self.mode.tips[side]);
             let mut end = stand.followed(contact, &law, base, &mass);
-            let gap_m = Course {
+            let gap_m = Cubic {
                 from: (mass.from.0 - base.0, mass.from.1 - base.1),
                 to: (mass.to.0 - end.0, mass.to.1 - end.1),
                 during_s: dt,
@@ -147,8 +149,9 @@ impl<const N: usize> General<N> {
                 let (p, rate) = gap_m.at(part);
                 rate >= 0.0 || law.force_n(p, rate) > 0.0
             };
-            if holds(1.0) < 0.0 && holds(0.0) > 0.0 {
-                let part = failure(holds);
+            let [start, after] = [holds(0.0), holds(1.0)];
+            if after < 0.0 && start > 0.0 {
+                let part = root((0.0, start), (1.0, after), holds);
                 if contact || presses(part) {
                     let [before, after] = mass.cut(part);
                     let halfway = stand.followed(contact, &law, base, &before);
@@ -190,67 +193,14 @@ impl<const N: usize> General<N> {
     }
 }
 
-/// A cubic course over some time, by displacement and velocity at both ends.
-struct Course {
-    from: (f64, f64),
-    to: (f64, f64),
-    during_s: f64,
-}
-
-impl Course {
-    /// Displacement and velocity after a part of the time.
-    fn at(&self, part: f64) -> (f64, f64) {
-        let (h, (d0, v0), (d1, v1)) = (self.during_s, self.from, self.to);
-        let mean = (d1 - d0) / h;
-        let (second, third) = (3.0 * mean - 2.0 * v0 - v1, v0 + v1 - 2.0 * mean);
-        let d = d0 + h * part * (v0 + part * (second + part * third));
-        (d, v0 + part * (2.0 * second + 3.0 * part * third))
-    }
-
-    /// The same in two, cut after a part of the time.
-    fn cut(&self, part: f64) -> [Self; 2] {
-        let between = self.at(part);
-        let (first, rest) = (part * self.during_s, (1.0 - part) * self.during_s);
-        let before = Self { from: self.from, to: between, during_s: first };
-        [before, Self { from: between, to: self.to, during_s: rest }]
-    }
-}
-
 impl Stand {
     /// Displacement and velocity of a stand at the end of a course of the mass, free or pressed by the linear bumper on it; positive away
     /// from the mass.
-    fn followed(&self, pressed: bool, law: &ContactLaw, from: (f64, f64), mass: &Course) -> (f64, f64) {
+    fn followed(&self, pressed: bool, law: &ContactLaw, from: (f64, f64), mass: &Cubic) -> (f64, f64) {
         if mass.during_s <= 0.0 {
             return from;
         }
         let push = |(p, rate): (f64, f64)| if pressed { law.force_n(p, rate) / self.mass_kg } else { 0.0 };
         self.alone(pressed, law, mass.during_s).after(from.0, from.1, push(mass.from), push(mass.to))
     }
-}
-
-/// Steps of [`failure`]; a course within a sample is all but a line.
-const NARROWED: usize = 6;
-
-/// Where a value that is above zero at 0 and below it at 1 falls through zero (Illinois method; M. Dowell and P. Jarratt, BIT 11 (1971) 168).
-fn failure(value: impl Fn(f64) -> f64) -> f64 {
-    let (mut above, mut below) = ((0.0, value(0.0)), (1.0, value(1.0)));
-    let mut side = 0;
-    let mut part = 1.0;
-    for _ in 0..NARROWED {
-        part = (above.0 * below.1 - below.0 * above.1) / (below.1 - above.1);
-        let at = value(part);
-        if at >= 0.0 {
-            above = (part, at);
-            below.1 *= if side == 1 { 0.5 } else { 1.0 };
-            side = 1;
-        } else {
-            below = (part, at);
-            above.1 *= if side == -1 { 0.5 } else { 1.0 };
-            side = -1;
-        }
-        if at == 0.0 {
-            break;
-        }
-    }
-    part.clamp(0.0, 1.0)
 }

@@ -98,7 +98,7 @@ fn a_stand_under_a_linear_bumper_is_followed_as_closely_as_one_that_is_searched_
         let mut specimen = build(&spec, 2e-3).expect("builds");
         let (w, d) = (TAU * 1.7, 0.016);
         let at = |i: i32| (w * f64::from(i) * 2e-3).sin_cos();
-        let imposed = (0..5000).map(|i| at(i)).map(|(sin, cos)| specimen.impose(d * sin, d * w * cos));
+        let imposed = (0..5000).map(at).map(|(sin, cos)| specimen.impose(d * sin, d * w * cos));
         imposed.map(|response| response.right_contact_force_n).collect::<Vec<f64>>()
     };
     let rms = |x: &mut dyn Iterator<Item = f64>| x.map(|x| x * x).sum::<f64>().sqrt();
