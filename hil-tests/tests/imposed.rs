@@ -115,4 +115,7 @@ fn what_is_added_explains_as_much_as_was_promised_and_knows_no_less() {
         let times = (number.high95 - number.low95) / (told.high95 - told.low95);
         assert!((0.8..1.25).contains(&times), "{name}: {number:?} {told:?}");
     }
+    // In the model, it is nothing that went astray.
+    let again = diagnose(&record, &added.model, &Options::default()).expect("a sound record");
+    assert!(again.notes.iter().all(|note| !note.contains("effect[0]")), "{:?}", again.notes);
 }

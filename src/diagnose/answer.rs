@@ -255,14 +255,14 @@ impl Composer<'_> {
     }
 
     /// What is to be said of numbers of the model that went far from where its file has them: a guess that is held too tightly leaves a
-    /// misfit that effects stand in for.
+    /// misfit that effects stand in for. Those of effects are held by what is usual, not by the file.
     fn astray(&self, refit: &Refit) -> Vec<String> {
+        let of_effects = |key: &str| key.starts_with("effect[");
         let told = |(number, free): (&Number, &Free)| {
             let (given, sigma) = free.prior;
             let (value, ..) = refit.interval(&number.key)?;
             let deviations = (value - given).abs() / sigma;
-            let own = self.nominal.get(&number.key).is_ok();
-            (own && deviations > ASTRAY).then(|| {
+            (!of_effects(&number.key) && deviations > ASTRAY).then(|| {
                 format!(
                     "{} goes to {value:.4e}, {deviations:.0} deviations from the {given:.4e} of the model file: if that was a guess, give it a wider `uncertainty` there, or an effect may stand in for what it is held back by",
                     number.key
