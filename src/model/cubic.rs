@@ -1,8 +1,6 @@
 //! An imposed motion between two samples: the cubic through displacement and velocity at both. What turns with the motion, relaxes along
 //! it or begins to touch within a sample asks here.
 
-use super::system::Point;
-
 /// A cubic course over some time, by displacement (m) and velocity (m/s) at both ends.
 #[derive(Clone, Copy, Debug)]
 pub struct Cubic {
@@ -15,10 +13,10 @@ pub struct Cubic {
 }
 
 impl Cubic {
-    /// The course of an element from one instant to another.
-    pub fn between(from: &Point, to: &Point) -> Self {
-        let [start, end] = [from, to].map(|at| (at.displacement_m, at.velocity_m_s));
-        Self { from: start, to: end, during_s: to.time_s - from.time_s }
+    /// Its acceleration at the beginning, m/s2, and how fast that rises, m/s3.
+    pub fn acceleration(&self) -> (f64, f64) {
+        let (more, bulge) = (self.to.1 - self.from.1, 6.0 * self.bulge_m_s());
+        ((more + bulge) / self.during_s, -2.0 * bulge / (self.during_s * self.during_s))
     }
 
     /// By how much the mean velocity is more than that of both ends, m/s: it is v0 + part (v1 - v0) + 6 part (1 - part) of this.
@@ -65,13 +63,13 @@ mod tests {
         let place = |t: f64| 0.01 - 0.3 * t + 4.0 * t * t - 7.0 * t.powi(3);
         let speed = |t: f64| -0.3 + 8.0 * t - 21.0 * t * t;
         let (from_s, to_s) = (0.01, 0.06);
-        let point = |time_s: f64| Point {
-            time_s,
-            displacement_m: place(time_s),
-            velocity_m_s: speed(time_s),
-            ..Point::default()
-        };
-        let course = Cubic::between(&point(from_s), &point(to_s));
+        let [from, to] = [from_s, to_s].map(|t| (place(t), speed(t)));
+        let course = Cubic { from, to, during_s: to_s - from_s };
+        let (start, slope) = course.acceleration();
+        assert!(
+            (start - (8.0 - 42.0 * from_s)).abs() < 1e-10 && (slope + 42.0).abs() < 1e-8,
+            "{start} {slope}"
+        );
         for part in [0.0, 0.3, 1.0] {
             let (t, (d, v)) = (from_s + part * (to_s - from_s), course.at(part));
             assert!((d - place(t)).abs() < 1e-15 && (v - speed(t)).abs() < 1e-14, "{part}: {d} {v}");

@@ -82,9 +82,9 @@ pub trait Term: Send {
     /// Its force, N (opposing positive displacement is positive), and the rates of its states.
     fn force(&self, at: &Point, state: &[f64], rate: &mut [f64]) -> f64;
 
-    /// Carries its states over one sample period along an imposed motion, the cubic through two instants: in closed form or by small
+    /// Carries its states over one sample period along the course of an imposed motion: in closed form or by small
     /// steps of its own, since an imposed motion needs no step control. Called for terms with states.
-    fn follow(&self, _from: &Point, _to: &Point, _state: &mut [f64]) {}
+    fn follow(&self, _course: &Cubic, _state: &mut [f64]) {}
 
     /// Its states forget by a power law; they depend on the motion alone, not on what the term's parameters are.
     fn remembers(&self) -> bool {

@@ -103,11 +103,11 @@ impl Term for BoucWen {
         self.kh * state[0]
     }
 
-    fn follow(&self, from: &Point, to: &Point, state: &mut [f64]) {
+    fn follow(&self, course: &Cubic, state: &mut [f64]) {
         // z depends on the way alone, out to where the motion turns and back.
-        let turn = Cubic::between(from, to).turns_at_m().unwrap_or(to.displacement_m);
-        state[0] = self.moved(state[0], turn - from.displacement_m);
-        state[0] = self.moved(state[0], to.displacement_m - turn);
+        let turn = course.turns_at_m().unwrap_or(course.to.0);
+        state[0] = self.moved(state[0], turn - course.from.0);
+        state[0] = self.moved(state[0], course.to.0 - turn);
     }
 
     fn tangent_n_m(&self) -> f64 {

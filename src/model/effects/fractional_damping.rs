@@ -104,10 +104,9 @@ impl Term for SpringPot {
         force
     }
 
-    fn follow(&self, from: &Point, to: &Point, state: &mut [f64]) {
-        let course = Cubic::between(from, to);
+    fn follow(&self, course: &Cubic, state: &mut [f64]) {
         for (u, relaxation) in state.iter_mut().zip(&self.relaxations) {
-            *u = relaxation.after(*u, &course);
+            *u = relaxation.after(*u, course);
         }
     }
 

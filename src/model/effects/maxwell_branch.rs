@@ -61,8 +61,8 @@ impl Term for Maxwell {
         self.km * state[0]
     }
 
-    fn follow(&self, from: &Point, to: &Point, state: &mut [f64]) {
-        state[0] = self.relaxation.after(state[0], &Cubic::between(from, to));
+    fn follow(&self, course: &Cubic, state: &mut [f64]) {
+        state[0] = self.relaxation.after(state[0], course);
     }
 
     fn tangent_n_m(&self) -> f64 {

@@ -7,7 +7,7 @@
 use super::super::Response;
 use super::super::contact::ContactLaw;
 use super::super::cubic::Cubic;
-use super::super::system::{Point, Stand};
+use super::super::system::Stand;
 use super::dynamics::{Joint, Line, Sliding, Tip};
 use super::events::root;
 use super::specimen::General;
@@ -18,26 +18,18 @@ impl<const N: usize> General<N> {
         self.mode.joint == Joint::Rigid && (self.system.stand.is_none() || self.system.bumper.is_linear())
     }
 
-    /// Moves the mass to displacement `d` (m) and velocity `v` (m/s) within one sample interval, along
-    /// the cubic whose acceleration is `line`.
-    pub(super) fn impose_sampled(&mut self, d: f64, v: f64, line: Line) -> Response {
-        let dt = self.system.sample_period_s;
+    /// Moves the mass within one sample interval, along a course whose acceleration is `line`.
+    pub(super) fn impose_sampled(&mut self, course: &Cubic, line: Line) -> Response {
+        let ((d, v), dt) = (course.to, course.during_s);
         let before = self.contact_forces();
-        let at = |time_s, displacement_m, velocity_m_s| Point {
-            time_s,
-            displacement_m,
-            velocity_m_s,
-            ..Point::default()
-        };
-        let (from, to) = (at(self.time_s, self.y[0], self.y[1]), at(self.time_s + dt, d, v));
         if self.turns {
-            self.commit_vertex(&from, &to);
+            self.commit_vertex(course);
         }
         if let Some(stand) = self.system.stand {
-            self.follow_stand(&stand, d, v);
+            self.follow_stand(&stand, course);
         }
         if self.integrates {
-            self.follow_terms(&from, &to);
+            self.follow_terms(course);
         }
         (self.y[0], self.y[1]) = (d, v);
         self.time_s += dt;
@@ -109,25 +101,22 @@ impl<const N: usize> General<N> {
     }
 
     /// Tells terms that remember reversals where the motion turned within the coming sample.
-    fn commit_vertex(&mut self, from: &Point, to: &Point) {
-        let Some(vertex) = Cubic::between(from, to).turns_at_m() else { return };
+    fn commit_vertex(&mut self, course: &Cubic) {
+        let Some(vertex) = course.turns_at_m() else { return };
         self.system.isolator_terms.iter_mut().for_each(|term| term.commit(vertex));
         self.system.mass_terms.iter_mut().for_each(|term| term.commit(vertex));
     }
 
     /// Carries both stands along, each free or pressed by its bumper. Where contact begins or ends within the sample it does so here: a
     /// sample late, the blow of a bumper's dashpot would leave the stand ringing otherwise.
-    fn follow_stand(&mut self, stand: &Stand, d: f64, v: f64) {
-        let (dt, law) = (self.system.sample_period_s, self.system.bumper);
+    fn follow_stand(&mut self, stand: &Stand, course: &Cubic) {
+        let (dt, law) = (course.during_s, self.system.bumper);
         for side in 0..2 {
             let (sign, gap) =
                 if side == 0 { (1.0, self.system.gap_right_m) } else { (-1.0, self.system.gap_left_m) };
             let i = self.layout.stand + 2 * side;
-            let mass = Cubic {
-                from: (sign * self.y[0] - gap, sign * self.y[1]),
-                to: (sign * d - gap, sign * v),
-                during_s: dt,
-            };
+            let [from, to] = [course.from, course.to].map(|(d, v)| (sign * d - gap, sign * v));
+            let mass = Cubic { from, to, during_s: dt };
             let base = (sign * self.y[i], sign * self.y[i + 1]);
             let (contact, tip) = (self.mode.contact[side], self.mode.tips[side]);
             let mut end = stand.followed(contact, &law, base, &mass);
@@ -167,14 +156,14 @@ impl<const N: usize> General<N> {
         }
     }
 
-    /// Carries the states of the terms from one instant to another.
-    fn follow_terms(&mut self, from: &Point, to: &Point) {
+    /// Carries the states of the terms along.
+    fn follow_terms(&mut self, course: &Cubic) {
         let mut at = self.layout.terms;
         // In the order in which the rates go through them.
         for term in self.system.mass_terms.iter().chain(&self.system.isolator_terms) {
             let end = at + term.states();
             if end > at {
-                term.follow(from, to, &mut self.y[at..end]);
+                term.follow(course, &mut self.y[at..end]);
             }
             at = end;
         }

@@ -1,5 +1,6 @@
 //! The general solver as a [`Specimen`]: from sample to sample, over many of them, and along an imposed motion.
 
+use super::super::cubic::Cubic;
 use super::super::{Response, Specimen};
 use super::dynamics::{Course, Drive, Joint, Line, Motion, Sliding, Tip};
 use super::specimen::General;
@@ -73,21 +74,20 @@ impl<const N: usize> Specimen for General<N> {
             self.forget();
             self.settle_mode();
         }
-        let (d0, v0, d1, v1) = (self.y[0], self.y[1], relative_displacement_m, relative_velocity_m_s);
-        // Acceleration of the cubic through both ends.
-        let mean = (d1 - d0) / dt;
-        let start = (6.0 * mean - 4.0 * v0 - 2.0 * v1) / dt;
-        let line = Line { start, slope: (6.0 * (v0 + v1) - 12.0 * mean) / (dt * dt) };
+        let (from, to) = ((self.y[0], self.y[1]), (relative_displacement_m, relative_velocity_m_s));
+        let course = Cubic { from, to, during_s: dt };
+        let (start, slope) = course.acceleration();
+        let line = Line { start, slope };
         if self.imposes_by_sample() {
-            return self.impose_sampled(d1, v1, line);
+            return self.impose_sampled(&course, line);
         }
         if self.system.friction.is_some() && self.mode.sliding == Sliding::Stick {
-            let moves = if v0 != 0.0 { v0 } else { d1 - d0 };
+            let moves = if from.1 != 0.0 { from.1 } else { to.0 - from.0 };
             self.mode.sliding = Sliding::Slip(if moves < 0.0 { -1 } else { 1 });
         }
         let still = Line { start: 0.0, slope: 0.0 };
         self.advance(dt, still, Motion::Imposed(line), &mut |_, _, _, _| {});
-        (self.y[0], self.y[1]) = (d1, v1);
+        (self.y[0], self.y[1]) = to;
         self.table = None;
         let at = (self.time_s, 0.0);
         let forces = self.system.rates(at, &self.y, &self.mode, &self.layout, Some(line.at(dt))).1;
