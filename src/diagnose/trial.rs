@@ -293,13 +293,7 @@ pub fn in_force(
     scales: &Scales,
     settings: Settings,
 ) -> Option<Refit> {
-    let spec = if start.name == "stand-compliance" {
-        super::candidates::beside(&from.spec, start)
-    } else {
-        let mut spec = from.spec.clone();
-        spec.effects.push(start.clone());
-        spec
-    };
+    let spec = super::candidates::beside(&from.spec, start);
     let mut numbers = from.numbers.clone();
     numbers.start_from(&spec);
     numbers.add_effect(&spec, spec.effects.len() - 1, scales);
