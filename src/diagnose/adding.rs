@@ -160,10 +160,13 @@ fn fitted(
         tried.into_iter().flatten().min_by(|a, b| trial::objective(a).total_cmp(&trial::objective(b)))?;
     let fine = Settings { iterations: 10, tolerance: 1e-6, ..Settings::default() };
     let refit = trial::polish(searcher.problem(), &best, Domain::Force, fine)?;
-    let mut judged = trial::judge_by_force(searcher.problem(), std::slice::from_ref(&given.name), refit)?;
+    let judged = trial::judge_by_force(searcher.problem(), std::slice::from_ref(&given.name), refit)?;
+    let mut judged = vec![judged];
     if searcher.measured.is_none() {
-        searcher.shape_by_force(std::slice::from_mut(&mut judged), &scales);
+        searcher.shape_by_force(&mut judged, &scales);
     }
+    // What stands beside it now is another effect.
+    let judged = judged.swap_remove(0);
     let by_force = searcher.finish(&judged);
     // The starts that the response itself puts first, as a diagnosis has them.
     let free = fixed_start.is_empty() && effect.place != Place::User;

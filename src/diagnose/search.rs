@@ -320,8 +320,6 @@ impl<'a> Searcher<'a> {
         });
         let mut finalists: Vec<Trial> = fitted.into_iter().flatten().collect();
         let scales = candidates::scales(&from.refit.spec, self.motion);
-        self.turning_by_force(&mut finalists, &scales);
-        finalists.sort_by(|a, b| a.force.chi2.total_cmp(&b.force.chi2));
         self.shape_by_force(&mut finalists, &scales);
         finalists.sort_by(|a, b| a.force.chi2.total_cmp(&b.force.chi2));
         let close = finalists

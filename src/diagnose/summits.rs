@@ -55,8 +55,9 @@ impl Searcher<'_> {
         replace_where_told(finalists, reshaped);
     }
 
-    /// The same by the force along the measured motion, where there is no response.
-    pub(super) fn shape_by_force(&self, finalists: &mut [Trial], scales: &Scales) {
+    /// The same by the force along the measured motion, where there is no response; and friction that turns round over a velocity.
+    pub(super) fn shape_by_force(&self, finalists: &mut Vec<Trial>, scales: &Scales) {
+        self.turning_by_force(finalists, scales);
         let reshaped = |trial: &Trial| -> Option<Trial> {
             let shaped = with_shape(trial, scales)?;
             let shaped = self.fitted_by_force(&shaped)?;
@@ -67,16 +68,18 @@ impl Searcher<'_> {
 
     /// Coulomb's friction that turns round smoothly in place of one that sticks, or beside a Stribeck's that makes up for it, by the force
     /// along the measured motion.
-    pub(super) fn turning_by_force(&self, finalists: &mut Vec<Trial>, scales: &Scales) {
-        let coulomb =
-            |without: &ModelSpec| self.candidates(without).iter().any(|e| e.name == "coulomb-friction");
-        let of = |found: &dyn Fn(&Trial) -> bool| finalists.iter().position(found);
-        let falling =
-            |trial: &Trial| verdict::last_name(trial) == "stribeck-friction" && coulomb(&trial.refit.spec);
-        let sticking = of(&is_sticking);
+    fn turning_by_force(&self, finalists: &mut Vec<Trial>, scales: &Scales) {
         // The motion of a component is imposed: that of a mass moves with what holds it.
-        let component = self.motion.kind == Kind::Component;
-        let Some(place) = sticking.or_else(|| of(&falling)).filter(|_| component) else { return };
+        if self.motion.kind != Kind::Component {
+            return;
+        }
+        let sticking = finalists.iter().position(is_sticking);
+        let falling = |trial: &Trial| {
+            let tried = self.candidates(&trial.refit.spec);
+            verdict::last_name(trial) == "stribeck-friction"
+                && tried.iter().any(|effect| effect.name == "coulomb-friction")
+        };
+        let Some(place) = sticking.or_else(|| finalists.iter().position(falling)) else { return };
         let from = &finalists[place];
         let turning = parallel::map(&TURNS, parallel::cores(), |share| {
             self.fitted_by_force(&turned(from, share * scales.velocity_m_s, scales)?)
@@ -310,12 +313,14 @@ fn with_other_shape(shaped: &Trial) -> Option<Trial> {
 mod tests {
     use super::*;
     use crate::diagnose::adding::add;
+    use crate::diagnose::report::NamedEffect;
     use crate::diagnose::search::Effort;
     use crate::diagnose::testing::{imposed, seen, with};
     use crate::diagnose::{Options, Verdict, diagnose};
     use crate::identify::kinematics::Tolerances;
     use crate::identify::motion::Motion;
     use crate::model::testing::{b1_g2, effect};
+    use crate::record::Record;
 
     #[test]
     fn coulombs_friction_goes_on_from_where_stribecks_ended() {
@@ -363,30 +368,37 @@ mod tests {
         assert_eq!((over.nominal, Some(&over.value)), (0.0, added.model.effects[0].parameters.get(TURNING)));
     }
 
-    /// The effects that are named on the force that a motion imposed on a specimen takes.
-    fn named_of_a_component(of: EffectSpec) -> Vec<crate::diagnose::report::NamedEffect> {
+    /// The force that a motion imposed on a specimen with such an effect takes, and the effects that are named on it.
+    fn named_of_a_component(of: EffectSpec) -> (Record, Vec<NamedEffect>) {
         let mut truth = b1_g2();
         truth.isolator.damping_n_s_m *= 1.05;
         truth.effects.push(of);
-        diagnose(&imposed(&truth, 51), &b1_g2(), &Options::default()).expect("a sound record").effects
+        let record = imposed(&truth, 51);
+        let found = diagnose(&record, &b1_g2(), &Options::default()).expect("a sound record");
+        (record, found.effects)
     }
 
     #[test]
     fn the_friction_of_a_component_turns_round_over_a_velocity_that_shows() {
         for over_m_s in [0.0, 0.01] {
-            let found =
-                named_of_a_component(effect("coulomb-friction", &[("fc_n", 60.0), (TURNING, over_m_s)]));
+            let truth = effect("coulomb-friction", &[("fc_n", 60.0), (TURNING, over_m_s)]);
+            let (record, found) = named_of_a_component(truth);
             let names: Vec<&str> = found.iter().map(|of| of.name.as_str()).collect();
             assert_eq!(names, ["coulomb-friction"], "{over_m_s}");
             let told = found[0].parameters.get(TURNING).map_or(0.0, |told| told.value);
             assert!((told - over_m_s).abs() < 1e-3, "{told} {over_m_s}");
+            // It does so when it is added, too.
+            let added = add(&record, &b1_g2(), &effect("coulomb-friction", &[("fc_n", 20.0)]), &[]);
+            let [friction] = &added.expect("fits").model.effects[..] else { panic!("one effect") };
+            let over = friction.parameters.get(TURNING).copied().unwrap_or(0.0);
+            assert!((over - told).abs() < 1e-5, "{over} {told}");
         }
     }
 
     #[test]
     fn a_stand_is_named_where_a_bumper_alone_is_pressed() {
         let stand = [("ks_n_m", 1e5), ("ms_kg", 3.0), ("zeta", 0.05)];
-        let found = named_of_a_component(effect("stand-compliance", &stand));
+        let (_, found) = named_of_a_component(effect("stand-compliance", &stand));
         let names: Vec<&str> = found.iter().map(|of| of.name.as_str()).collect();
         assert_eq!(names, ["stand-compliance"]);
         let told = found[0].parameters["ks_n_m"].value;
