@@ -145,6 +145,8 @@ pub(crate) const FINEST: f64 = 1e-6;
 /// Samples in a cycle below which jumps of an acceleration are left as they are: spreading them takes a hundredth off what has nine, and a
 /// third off what has three.
 const FEW: f64 = 20.0;
+/// Samples in a cycle from which on lines between them take less than a ten-thousandth off a sine: `(pi/n)^2/3`.
+const ALONG_LINES: f64 = 200.0;
 /// How well a solver that joins samples of a force by straight lines then tells the force of a dashpot, over the rms of the restoring force:
 /// displacements are made up for, velocities between the samples are others.
 const COARSE: f64 = 2e-3;
@@ -192,7 +194,8 @@ impl Motion {
         };
         motion.mass_kg = mass_kg;
         motion.windows = windows::cut(record, &motion, farthest);
-        if motion.kind == Kind::Base && motion.windows.iter().any(|window| window.random) {
+        let by_lines = motion.sample_rate_hz < ALONG_LINES * motion.median_frequency_hz();
+        if motion.kind == Kind::Base && (by_lines || motion.windows.iter().any(|window| window.random)) {
             let over_mass: Vec<f64> = motion.drive_m_s2.iter().map(|table| -table).collect();
             motion.drive_m_s2 = driving(&over_mass, &motion.displacement_m, motion.sample_rate_hz);
         }
@@ -211,10 +214,10 @@ impl Motion {
         1.0 / self.sample_rate_hz
     }
 
-    /// The acceleration of an applied force's record has so few samples in a cycle that what a jump is spread over is as long as what moves.
+    /// An acceleration that is seen has so few samples in a cycle that what a jump is spread over is as long as what moves.
     pub(super) fn is_coarse(&self) -> bool {
         let few = self.sample_rate_hz < FEW * self.median_frequency_hz();
-        self.kind == Kind::Force && self.sees_acceleration && few
+        self.kind != Kind::Component && self.sees_acceleration && few
     }
 
     /// The least noise that a restoring force can have, over its rms.
