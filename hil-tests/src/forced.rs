@@ -27,7 +27,7 @@ pub struct Body {
 
 impl Body {
     /// Acceleration beside friction, m/s2.
-    fn free_m_s2(&self, force_n: f64, x_m: f64, v_m_s: f64) -> f64 {
+    pub(crate) fn free_m_s2(&self, force_n: f64, x_m: f64, v_m_s: f64) -> f64 {
         let spring_n = self.stiffness_n_m * x_m + self.cubic_n_m3 * x_m.powi(3);
         (force_n - self.constant_n - spring_n - self.damping_n_s_m * v_m_s) / self.mass_kg
     }
@@ -59,7 +59,7 @@ impl Body {
     }
 
     /// One fine step of `h_s` without friction (Runge and Kutta), the force at its beginning, middle and end.
-    fn swing(&self, state: &mut (f64, f64), [f0, f1, f2]: [f64; 3], h_s: f64) {
+    pub(crate) fn swing(&self, state: &mut (f64, f64), [f0, f1, f2]: [f64; 3], h_s: f64) {
         let (x, v) = *state;
         let rates = |f: f64, x: f64, v: f64| (v, self.free_m_s2(f, x, v));
         let k1 = rates(f0, x, v);

@@ -99,6 +99,11 @@ impl Spectrum {
         Self::of_extended(extended, samples, padding, sample_rate_hz)
     }
 
+    /// Spectrum of a piece of a channel as it is: what goes around beyond its ends is for the caller to make nothing of.
+    pub fn of_piece(channel: &[f64], sample_rate_hz: f64) -> Self {
+        Self::of_extended(channel.to_vec(), channel.len(), 0, sample_rate_hz)
+    }
+
     /// The same under a Hann window, without its mean: where the motion is and how much noise, without the ends' leakage. Powers are
     /// [`TAPERED`] times those of the channel. All channels of one length give bins of the same frequencies.
     pub fn tapered(channel: &[f64], sample_rate_hz: f64) -> Self {

@@ -1,6 +1,7 @@
 //! Faults of a chain of measurement that can be taken out because they cannot be the motion of a mass: samples that stand alone, and hum of
 //! the mains. The record stays as it was written; what reads it to lay a model against it takes the mended one, with a note of what was done.
 
+mod coupling;
 mod hum;
 mod spikes;
 
@@ -23,6 +24,19 @@ pub fn mended(record: &Record) -> Cow<'_, Record> {
         let out = out.to_mut();
         out.notes.extend(notes);
         if let Some(to) = out.channel_mut(role) {
+            *to = channel;
+        }
+    }
+    // Of what the spikes and hum left.
+    for coupling in coupling::find(&out) {
+        let channel = coupling.undone(out.channel(coupling.role), out.sample_rate_hz);
+        let out = out.to_mut();
+        out.notes.push(format!(
+            "{}: behind a coupling that blocks what is slow (AC), corner {:.4} Hz: undone",
+            coupling.role.name(),
+            coupling.corner_hz(),
+        ));
+        if let Some(to) = out.channel_mut(coupling.role) {
             *to = channel;
         }
     }
