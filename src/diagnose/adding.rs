@@ -204,16 +204,6 @@ fn told(
         .into_iter()
         .find(|finding| finding.name == given.name)
         .ok_or_else(sound)?;
-    if let ("accelerometer-gain", Some((_, estimate, _))) =
-        (given.name.as_str(), finding.parameters.first_mut())
-    {
-        // The effect is one of the first accelerometer; the finding may be one of the other.
-        let gain = found.accelerometers[0].gain;
-        if (gain.value - 1.0).abs() < Tolerances::default().accelerometer_gain + 3.0 * gain.sigma {
-            return Err(sound());
-        }
-        *estimate = gain.into();
-    }
     if finding.is_gain() {
         searcher.gains(base).first().copied().into_iter().for_each(|gains| finding.sharpen(gains));
     }
@@ -224,9 +214,16 @@ impl Added {
     /// Takes an instrument's effect up as it was found.
     fn take_up(&mut self, finding: Finding, mut effect: EffectSpec) {
         let index = self.model.effects.len();
+        let is_gain = finding.is_gain();
+        let given = effect.parameters.clone();
+        if is_gain {
+            // Of two accelerometers one may be right.
+            effect.parameters.values_mut().for_each(|gain| *gain = 1.0);
+        }
         for (name, estimate, _) in finding.parameters {
             let Estimate95 { value, low95, high95 } = estimate;
-            let nominal = effect.parameters.get(&name).copied().unwrap_or(f64::NAN);
+            let left_out = if is_gain { 1.0 } else { f64::NAN };
+            let nominal = given.get(&name).copied().unwrap_or(left_out);
             let key = format!("effect[{index}].{name}");
             self.parameters.push(FittedNumber { key, nominal, value, low95, high95 });
             effect.parameters.insert(name, value);
@@ -294,6 +291,17 @@ mod tests {
         assert!(after < 1.05 * floor && reidentified > 1.5 * floor && before > 2.0 * floor, "{late:?}");
         let gain = add(&record, &b1_g2(), &effect("accelerometer-gain", &[("gain", 1.0)]), &[]);
         assert!(matches!(gain, Err(AddError::Sound { .. })), "{gain:?}");
+        // The gain of the second accelerometer, and of both.
+        for gains in [[1.0, 1.06], [1.05, 1.05]] {
+            let mut scaled = seen(&b1_g2(), 6);
+            scaled.mass_acceleration_1_m_s2.iter_mut().for_each(|a| *a *= gains[0]);
+            scaled.mass_acceleration_2_m_s2.iter_mut().for_each(|a| *a *= gains[1]);
+            let told = add(&scaled, &b1_g2(), &effect("accelerometer-gain", &[("gain", 1.01)]), &[]);
+            let told = told.expect("told");
+            for (key, gain) in ["effect[0].gain", "effect[0].gain_2"].into_iter().zip(gains) {
+                assert!((told.model.get(key).expect("there") - gain).abs() < 2e-3, "{gains:?}: {told:?}");
+            }
+        }
         let mass = add(&record, &b1_g2(), &effect("mass-error", &[("dm_kg", 1.0)]), &[]);
         assert!(matches!(mass, Err(AddError::NotByRecord { .. })), "{mass:?}");
     }

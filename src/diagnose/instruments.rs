@@ -58,7 +58,6 @@ pub fn judge(found: &Instruments, record: &Record, tolerances: Tolerances) -> Ve
     let mut out = Vec::new();
     let beyond =
         |e: Estimate, neutral: f64, tolerance: f64| (e.value - neutral).abs() > tolerance + 3.0 * e.sigma;
-    let [one, two] = found.accelerometers;
     let (mass, rest) = match record.kind {
         Kind::Force => ("A", "D''"),
         Kind::Base | Kind::Component => ("A - a_table", "D'' and a_table"),
@@ -108,31 +107,49 @@ pub fn judge(found: &Instruments, record: &Record, tolerances: Tolerances) -> Ve
     if found.yaw.is_some_and(|yaw| !yaw.tells_gains(tolerances)) {
         return out;
     }
-    let apart = (one.gain.value - two.gain.value).abs();
-    let apart_sigma = one.gain.sigma.hypot(two.gain.sigma);
-    if apart > 2.0 * tolerances.accelerometer_gain + 3.0 * apart_sigma {
-        let (which, gain) = if (one.gain.value - 1.0).abs() > (two.gain.value - 1.0).abs() {
-            (1, one.gain)
-        } else {
-            (2, two.gain)
-        };
-        out.push(finding(
-            "accelerometer-gain",
-            "gain",
-            "1",
-            gain,
-            &format!("accelerometer {which} is out of proportion to the other and to {rest}"),
-        ));
-    } else if beyond(one.gain, 1.0, 2.0 * tolerances.accelerometer_gain)
-        && beyond(two.gain, 1.0, 2.0 * tolerances.accelerometer_gain)
-    {
-        let both = Estimate {
-            value: 0.5 * (one.gain.value + two.gain.value),
-            sigma: one.gain.sigma.max(two.gain.sigma),
-        };
-        out.push(finding("accelerometer-gain", "gain", "1", both, "both accelerometers on the mass alike"));
-    }
+    out.extend(gain_of_accelerometers(found, record, tolerances, rest));
     out
+}
+
+/// Which of the accelerometers are out of proportion to the rest, by the numbers of the effect.
+fn gain_of_accelerometers(
+    found: &Instruments,
+    record: &Record,
+    tolerances: Tolerances,
+    rest: &str,
+) -> Option<Finding> {
+    const GAINS: [&str; 2] = ["gain", "gain_2"];
+    let tolerance = 2.0 * tolerances.accelerometer_gain;
+    let gains = found.accelerometers.map(|accelerometer| accelerometer.gain);
+    let [off, other_off] = gains.map(|gain| (gain.value - 1.0).abs());
+    let [sigma, other_sigma] = gains.map(|gain| gain.sigma);
+    let apart = (gains[0].value - gains[1].value).abs();
+    let there = match record.kind {
+        Kind::Base => {
+            [&record.mass_acceleration_1_m_s2, &record.mass_acceleration_2_m_s2].map(|a| !a.is_empty())
+        }
+        Kind::Force | Kind::Component => [true, false],
+    };
+    if there == [true; 2] && apart > tolerance + 3.0 * sigma.hypot(other_sigma) {
+        let which = usize::from(off <= other_off);
+        let text = format!("accelerometer {} is out of proportion to the other and to {rest}", which + 1);
+        return Some(finding("accelerometer-gain", GAINS[which], "1", gains[which], &text));
+    }
+    if off <= tolerance + 3.0 * sigma || other_off <= tolerance + 3.0 * other_sigma {
+        return None;
+    }
+    let both = Estimate { value: 0.5 * (gains[0].value + gains[1].value), sigma: sigma.max(other_sigma) };
+    let parameters = GAINS.into_iter().zip(there).filter(|(_, there)| *there);
+    let text = if there == [true; 2] {
+        "both accelerometers on the mass alike".to_owned()
+    } else {
+        format!("the accelerometer on the mass is out of proportion to {rest}")
+    };
+    Some(Finding {
+        name: "accelerometer-gain".to_owned(),
+        parameters: parameters.map(|(name, _)| (name.to_owned(), both.into(), "1".to_owned())).collect(),
+        text,
+    })
 }
 
 fn finding(name: &str, parameter: &str, unit: &str, estimate: Estimate, text: &str) -> Finding {

@@ -11,8 +11,8 @@ pub struct Instruments {
     pub laser_gain: f64,
     /// Delay of the laser, s.
     pub laser_delay_s: f64,
-    /// Gain of the first accelerometer.
-    pub accelerometer_1_gain: f64,
+    /// Gains of the accelerometers.
+    pub accelerometer_gains: [f64; 2],
     /// Delay of both accelerometers, s.
     pub accelerometer_delay_s: f64,
     /// Rotation of the mass.
@@ -24,7 +24,7 @@ impl Default for Instruments {
         Self {
             laser_gain: 1.0,
             laser_delay_s: 0.0,
-            accelerometer_1_gain: 1.0,
+            accelerometer_gains: [1.0; 2],
             accelerometer_delay_s: 0.0,
             yaw: None,
         }
@@ -107,8 +107,8 @@ impl Observer {
         let second = self.accelerometers[1].push([a - rotation, 0.0], straight);
         Observation {
             relative_displacement_m: self.instruments.laser_gain * delayed_d,
-            mass_acceleration_1_m_s2: self.instruments.accelerometer_1_gain * first,
-            mass_acceleration_2_m_s2: second,
+            mass_acceleration_1_m_s2: self.instruments.accelerometer_gains[0] * first,
+            mass_acceleration_2_m_s2: self.instruments.accelerometer_gains[1] * second,
         }
     }
 }
