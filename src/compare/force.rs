@@ -119,7 +119,7 @@ pub fn residual(
 
 /// Measured restoring force, N: -M A of the mass, less what is applied.
 fn restoring(measured: &Measured, sample: usize) -> f64 {
-    let a = measured.a[sample];
+    let a = measured.a[sample] / measured.gain_a;
     match measured.kind {
         Kind::Force => -measured.mass_kg * (measured.drive[sample] + a),
         Kind::Base | Kind::Component => -measured.mass_kg * a,

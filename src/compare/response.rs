@@ -66,6 +66,10 @@ pub struct Measured {
     pub table: Option<TableNoise>,
     /// Acceleration, m/s2.
     pub a: Vec<f64>,
+    /// Which of the two accelerometers tell it.
+    seen_by: [bool; 2],
+    /// Their gain together, as the model has it.
+    pub gain_a: f64,
     /// Displacement, m.
     pub d: Vec<f64>,
     /// Samples of the fastest cycle.
@@ -86,7 +90,8 @@ impl Measured {
         notes: &mut Vec<String>,
     ) -> Result<Self, CompareError> {
         // That of the effects included.
-        let mass_kg = System::compile(spec, 1.0 / record.sample_rate_hz)?.mass_kg;
+        let system = System::compile(spec, 1.0 / record.sample_rate_hz)?;
+        let mass_kg = system.mass_kg;
         let zeroed = |mut channel: Vec<f64>| {
             let mean = steady_mean(&channel);
             channel.iter_mut().for_each(|x| *x -= mean);
@@ -126,7 +131,32 @@ impl Measured {
         } else {
             Vec::new()
         };
-        Ok(Self { kind: record.kind, dt_s: 1.0 / rate, mass_kg, drive, lines, table, a, d, cycle })
+        let seen_by = match record.kind {
+            Kind::Base => {
+                [&record.mass_acceleration_1_m_s2, &record.mass_acceleration_2_m_s2].map(|a| !a.is_empty())
+            }
+            Kind::Force | Kind::Component => [true, false],
+        };
+        let [one, two] = system.instruments.accelerometer_gains;
+        let gain_a = match (record.kind, seen_by) {
+            (Kind::Component, _) => 1.0,
+            (_, [true, false]) => one,
+            (_, [false, true]) => two,
+            _ => 0.5 * (one + two),
+        };
+        Ok(Self {
+            gain_a,
+            kind: record.kind,
+            dt_s: 1.0 / rate,
+            mass_kg,
+            drive,
+            lines,
+            table,
+            a,
+            seen_by,
+            d,
+            cycle,
+        })
     }
 
     /// Number of samples.
@@ -295,13 +325,19 @@ impl Run<'_> {
     }
 
     fn push(&mut self, sample: usize, response: &crate::model::Response) {
-        let seen = self.observer.observe(response);
-        let mean = 0.5 * (seen.mass_acceleration_1_m_s2 + seen.mass_acceleration_2_m_s2);
-        let a = match self.measured.kind {
-            Kind::Force => mean - self.measured.drive.get(sample).copied().unwrap_or(0.0),
-            Kind::Base => mean,
+        let mut moved = *response;
+        if self.measured.kind == Kind::Force {
+            // What the accelerometer is on moves as force and restoring force have it.
+            moved.mass_acceleration_m_s2 -= self.measured.drive.get(sample).copied().unwrap_or(0.0);
+        }
+        let seen = self.observer.observe(&moved);
+        let [one, two] = [seen.mass_acceleration_1_m_s2, seen.mass_acceleration_2_m_s2];
+        let a = match (self.measured.kind, self.measured.seen_by) {
             // A force sensor knows nothing of the accelerometers' effects.
-            Kind::Component => response.mass_acceleration_m_s2,
+            (Kind::Component, _) => response.mass_acceleration_m_s2,
+            (_, [true, false]) => one,
+            (_, [false, true]) => two,
+            _ => 0.5 * (one + two),
         };
         self.out.model_a.push(a);
         self.out.model_d.push(seen.relative_displacement_m);

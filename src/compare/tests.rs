@@ -187,30 +187,76 @@ fn a_component_is_judged_by_its_force_at_any_magnitude() {
     assert_eq!(found.error.nrmse_d, None);
 }
 
-#[test]
-fn an_applied_force_gives_displacement_and_acceleration() {
-    let spec = oscillator(2.0, 2000.0, 8.0);
+/// A record of a mass that a sine of 4 Hz drives, smooth between the samples.
+fn forced(spec: &ModelSpec) -> Record {
     let mut record = Record::empty("force", Kind::Force, RATE);
-    // A force that is smooth between the samples.
     const FINE: usize = 32;
-    let mut specimen = build(&spec, 1.0 / (RATE * FINE as f64)).expect("valid");
+    let mass_kg = spec.mass_kg;
+    let mut specimen = build(spec, 1.0 / (RATE * FINE as f64)).expect("valid");
     for i in 0..(20.0 * RATE) as usize {
         let at = |k: usize| 3.0 * (TAU * 4.0 * k as f64 / (RATE * FINE as f64)).sin();
         for k in (i * FINE + 1).saturating_sub(FINE)..i * FINE {
-            specimen.step(-at(k) / 2.0);
+            specimen.step(-at(k) / mass_kg);
         }
         let force = at(i * FINE);
-        let response = specimen.step(-force / 2.0);
+        let response = specimen.step(-force / mass_kg);
         record.time_s.push(i as f64 / RATE);
         record.force_n.push(force);
         record.displacement_m.push(response.relative_displacement_m);
-        record.acceleration_m_s2.push(response.mass_acceleration_m_s2 + force / 2.0);
+        record.acceleration_m_s2.push(response.mass_acceleration_m_s2 + force / mass_kg);
         record.step.push(0);
     }
+    record
+}
+
+#[test]
+fn an_applied_force_gives_displacement_and_acceleration() {
+    let spec = oscillator(2.0, 2000.0, 8.0);
+    let record = forced(&spec);
     let right = compare(&record, &spec).expect("comparable").error;
     assert!(right.nrmse_a.is_some_and(|e| e < 1e-6) && right.nrmse_d.is_some_and(|e| e < 1e-6), "{right:?}");
     let wrong = compare(&record, &oscillator(2.0, 2200.0, 8.0)).expect("comparable").error;
     assert!(wrong.nrmse_d.is_some_and(|e| e > 0.05), "{wrong:?}");
+}
+
+#[test]
+fn an_accelerometer_sees_the_motion_that_force_and_restoring_force_make() {
+    let mut spec = oscillator(2.0, 2000.0, 8.0);
+    let mut record = forced(&spec);
+    // 0.9 of it, four samples late.
+    let a = record.acceleration_m_s2.clone();
+    for (i, seen) in record.acceleration_m_s2.iter_mut().enumerate() {
+        *seen = 0.9 * a[i.saturating_sub(4)];
+    }
+    spec.effects.push(effect("accelerometer-gain", &[("gain", 0.9)]));
+    spec.effects.push(effect("accelerometer-delay", &[("dt_s", 4.0 / RATE)]));
+    let left = compare(&record, &spec).expect("comparable").error.nrmse_a.expect("measured");
+    assert!(left < 1e-5, "{left}");
+    record.acceleration_m_s2 = a.iter().map(|a| 0.9 * a).collect();
+    spec.effects.truncate(1);
+    let left = compare(&record, &spec).expect("comparable").error.nrmse_force.expect("measured");
+    assert!(left < 0.01, "{left}");
+}
+
+#[test]
+fn each_accelerometer_that_there_is_has_its_gain() {
+    let spec = oscillator(500.0, 20e3, 1100.0);
+    let with = |gains: &[(&str, f64)]| {
+        let mut spec = spec.clone();
+        spec.effects.push(effect("accelerometer-gain", gains));
+        spec
+    };
+    let left = |record: &Record, spec: &ModelSpec| {
+        compare(record, spec).expect("comparable").error.nrmse_a.expect("measured")
+    };
+    let mut record = swept(&spec, &[1.0, 1.3], 0.5, QUIET);
+    record.mass_acceleration_1_m_s2.iter_mut().for_each(|a| *a *= 1.03);
+    record.mass_acceleration_2_m_s2.iter_mut().for_each(|a| *a *= 1.03);
+    assert!(left(&record, &with(&[("gain", 1.03), ("gain_2", 1.03)])) < 1e-4);
+    record.mass_acceleration_2_m_s2.clear();
+    assert!(left(&record, &with(&[("gain", 1.03)])) < 1e-4);
+    record.mass_acceleration_2_m_s2 = std::mem::take(&mut record.mass_acceleration_1_m_s2);
+    assert!(left(&record, &with(&[("gain", 1.0), ("gain_2", 1.03)])) < 1e-4);
 }
 
 #[test]
