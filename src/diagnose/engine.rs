@@ -10,9 +10,10 @@ use super::{late, parts};
 use crate::identify::kinematics::Tolerances;
 use crate::identify::motion::{Motion, MotionError};
 use crate::identify::together::{Setting, TogetherError};
-use crate::identify::{force_on_time, readied};
+use crate::identify::{force_on_time, in_its_band};
 use crate::model::{ModelError, ModelSpec};
 use crate::record::{Record, quality};
+use crate::record::mended::mended;
 use std::time::Instant;
 
 /// How a diagnosis is done.
@@ -78,10 +79,15 @@ pub fn diagnose_together(
     options: &Options,
 ) -> Result<Diagnosis, DiagnoseError> {
     let begun = Instant::now();
-    let records: Vec<_> = tests.iter().map(|(record, _)| readied(record)).collect();
+    let records: Vec<_> = tests.iter().map(|(record, _)| mended(record)).collect();
+    // As they were recorded: at the rate of its band a channel that is cut off is smooth.
+    let said = records.iter().map(|record| of_record(record, options.anyway));
+    let said = said.collect::<Result<Vec<_>, _>>()?.concat();
+    let records: Vec<_> = records.into_iter().map(in_its_band).collect();
     let tests: Vec<(&Record, &ModelSpec)> =
         records.iter().zip(tests).map(|(record, (_, model))| (&**record, *model)).collect();
-    let mut out = of_records(&tests, options, &vec![0.0; tests.len()], ON_TIME)?;
+    let again = Again { said: &said, late_s: &vec![0.0; tests.len()], on_time: ON_TIME, noise: QUIETER };
+    let mut out = of_records(&tests, options, again)?;
     out.wall_s = begun.elapsed().as_secs_f64();
     Ok(out)
 }
@@ -90,18 +96,18 @@ pub fn diagnose_together(
 fn of_records(
     tests: &[(&Record, &ModelSpec)],
     options: &Options,
-    late_s: &[f64],
-    on_time: usize,
+    again: Again<'_>,
 ) -> Result<Diagnosis, DiagnoseError> {
     let Some((_, nominal)) = tests.first() else {
         return Err(MotionError::TooShort { samples: 0, needed: 1 }.into());
     };
     let mut motions = Vec::with_capacity(tests.len());
     let mut findings: Vec<(usize, Finding)> = Vec::new();
-    let mut notes: Vec<String> = Vec::new();
+    let mut notes: Vec<String> = tests.iter().flat_map(|(record, _)| record.notes.clone()).collect();
+    let new: Vec<_> = again.said.iter().filter(|text| !notes.contains(text)).cloned().collect();
+    notes.extend(new);
     for (i, (record, model)) in tests.iter().enumerate() {
         crate::model::build(model, 1.0 / record.sample_rate_hz)?;
-        notes.extend(of_record(record, options.anyway)?);
         let motion = Motion::of(record, model.mass_kg, options.tolerances)?;
         let judged = |found| instruments::judge(found, record, options.tolerances);
         for finding in motion.instruments.as_ref().map(judged).unwrap_or_default() {
@@ -112,15 +118,9 @@ fn of_records(
         motions.push((motion, Setting::between(nominal, model)?));
     }
     let motion = Motion::together(motions)?;
-    notes.extend(late::taken_back(late_s, motion.dt_s()));
+    notes.extend(late::taken_back(again.late_s, motion.dt_s()));
     parts::done("fitness, instruments, motion");
-    let out = of_motion(
-        (tests, nominal),
-        options,
-        motion,
-        (findings, notes),
-        Again { late_s, on_time, noise: QUIETER },
-    )?;
+    let out = of_motion((tests, nominal), options, motion, (findings, notes), again)?;
     parts::done("errors, missing force");
     Ok(out)
 }
@@ -134,6 +134,8 @@ const QUIETER: usize = 2;
 /// What a diagnosis may do again.
 #[derive(Clone, Copy)]
 struct Again<'a> {
+    /// What was said of the records as they were recorded.
+    said: &'a [String],
     /// By how much the force of each record has been put on time, s.
     late_s: &'a [f64],
     /// So many times more it may be.
@@ -154,7 +156,11 @@ impl Again<'_> {
             tests.iter().zip(lags_s).map(|((record, _), lag_s)| force_on_time(record, -lag_s)).collect();
         let prompt: Vec<_> = records.iter().zip(tests).map(|(record, (_, model))| (record, *model)).collect();
         let late_s: Vec<f64> = self.late_s.iter().zip(lags_s).map(|(late_s, lag_s)| late_s - lag_s).collect();
-        of_records(&prompt, options, &late_s, self.on_time - 1)
+        of_records(
+            &prompt,
+            options,
+            Again { late_s: &late_s, on_time: self.on_time - 1, noise: QUIETER, said: self.said },
+        )
     }
 }
 
@@ -224,6 +230,47 @@ fn of_record(record: &Record, anyway: bool) -> Result<Vec<String>, DiagnoseError
         let faults: Vec<String> = errors.into_iter().map(text).collect();
         return Err(DiagnoseError::Unfit { record: record.source.clone(), faults: faults.join("; ") });
     }
-    let new = rest.into_iter().map(text).filter(|text| !record.notes.contains(text));
-    Ok(record.notes.iter().cloned().chain(new).collect())
+    Ok(rest.into_iter().map(text).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::testing::oscillator;
+    use crate::record::Kind;
+    use rand::{SeedableRng, prelude::Distribution};
+
+    #[test]
+    fn a_channel_that_was_cut_off_is_refused_at_any_rate() {
+        // A motion of a band that ends steeply, as one that was low-passed, cut off at two and a half of its deviations.
+        const RATE_HZ: f64 = 2000.0;
+        const HALF: usize = 50;
+        let mut random = rand_pcg::Pcg64::seed_from_u64(2);
+        let noise: Vec<f64> =
+            (0..40_000 + 2 * HALF).map(|_| rand_distr::StandardNormal.sample(&mut random)).collect();
+        let taps: Vec<f64> = (0..=2 * HALF)
+            .map(|k| {
+                let (from, turn) = (k as f64 - HALF as f64, std::f64::consts::PI * k as f64 / HALF as f64);
+                let sinc = match from {
+                    0.0 => 1.0,
+                    from => (0.4 * std::f64::consts::PI * from).sin() / (0.4 * std::f64::consts::PI * from),
+                };
+                0.4 * sinc * (0.42 - 0.5 * turn.cos() + 0.08 * (2.0 * turn).cos())
+            })
+            .collect();
+        let a: Vec<f64> = noise
+            .windows(taps.len())
+            .map(|noise| noise.iter().zip(&taps).map(|(noise, tap)| noise * tap).sum())
+            .collect();
+        let rms = (a.iter().map(|a| a * a).sum::<f64>() / a.len() as f64).sqrt();
+        let record = Record {
+            time_s: (0..a.len()).map(|i| i as f64 / RATE_HZ).collect(),
+            force_n: a.iter().map(|a| 2.0 * a).collect(),
+            acceleration_m_s2: a.iter().map(|a| a.clamp(-2.5 * rms, 2.5 * rms)).collect(),
+            ..Record::empty("cut off", Kind::Force, RATE_HZ)
+        };
+        assert!(in_its_band(std::borrow::Cow::Borrowed(&record)).sample_rate_hz < RATE_HZ);
+        let refused = diagnose(&record, &oscillator(2.0, 2000.0, 8.0), &Options::default());
+        assert!(matches!(&refused, Err(DiagnoseError::Unfit { faults, .. }) if faults.contains("saturated")));
+    }
 }

@@ -28,7 +28,12 @@ use std::borrow::Cow;
 
 /// A record as models are fitted to it: faults of its chain taken out, and at the rate of its band. What was done is in its notes.
 pub fn readied(record: &Record) -> Cow<'_, Record> {
-    match mended(record) {
+    in_its_band(mended(record))
+}
+
+/// A record whose faults were taken out, at the rate of its band.
+pub fn in_its_band(record: Cow<'_, Record>) -> Cow<'_, Record> {
+    match record {
         Cow::Borrowed(record) => filtered::at_its_rate(record),
         Cow::Owned(record) => Cow::Owned(filtered::at_its_rate(&record).into_owned()),
     }
