@@ -2,12 +2,14 @@
 //! perfect model and this measurement.
 //!
 //! White noise of each sensor comes from the quiet upper part of its spectrum (median of the bins, so
-//! that lines do not count), scaled to the band of the comparison; slower noise of the accelerometers
+//! that lines do not count; the quietest parts of it where the motion reaches there), scaled to the band of the comparison; slower noise of the accelerometers
 //! from the part of their difference that does not repeat from cycle to cycle (gain errors, leaks and
 //! yaw repeat).
 
 use super::band::Band;
 use super::window::{Window, windows};
+use crate::identify::applied_noise;
+use crate::identify::spectral::noise_of_whole;
 use crate::record::{Kind, Record};
 use crate::signal::Spectrum;
 
@@ -37,7 +39,8 @@ pub fn noise_floor(record: &Record) -> NoiseFloor {
 
 /// White noise of the channel that drives the model, over its whole band.
 pub(super) fn of_input(record: &Record) -> f64 {
-    white(record.input(), record.sample_rate_hz)
+    let hiss = white(record.input(), record.sample_rate_hz);
+    if record.kind == Kind::Force { applied_noise(hiss, record.input()) } else { hiss }
 }
 
 /// [`noise_floor`] with windows, band and the noise of the input at hand.
@@ -86,7 +89,7 @@ fn white(channel: &[f64], rate: f64) -> f64 {
     else {
         return 0.0;
     };
-    Spectrum::tapered(piece, rate).white_noise_rms(0.4, 0.9)
+    noise_of_whole(piece, &Spectrum::tapered(piece, rate))
 }
 
 /// RMS of what does not repeat from one counted cycle to the next: the median over the steps, so that

@@ -318,3 +318,46 @@ fn a_table_that_is_seen_at_few_samples_a_cycle_drives_the_model_as_it_moved() {
     let [a, d] = [found.error.nrmse_a, found.error.nrmse_d].map(|error| error.expect("measured"));
     assert!(a < 1e-3 && d < 1e-3, "{a} {d}");
 }
+
+#[test]
+fn a_force_that_reaches_far_up_the_band_is_no_noise() {
+    let spec = oscillator(2.0, 2.0 * (TAU * 60.0_f64).powi(2), 40.0);
+    for part_of_nyquist in [0.66, 0.82, 0.95] {
+        const FINE: usize = 8;
+        let mut random = rand_pcg::Pcg64::seed_from_u64(7);
+        let mut hiss = move |sigma: f64| {
+            let x: f64 = random.sample(rand_distr::StandardNormal);
+            sigma * x
+        };
+        // Lines of random phase up to a part of the band.
+        let n = 8192;
+        let lines = (part_of_nyquist * n as f64 / 2.0) as usize;
+        let phases: Vec<f64> = (0..lines).map(|_| TAU * hiss(1.0)).collect();
+        let mut force = vec![0.0; FINE * n];
+        let turns: Vec<(f64, f64)> =
+            (0..FINE * n).map(|i| (TAU * i as f64 / (FINE * n) as f64).sin_cos()).collect();
+        for (k, phase) in phases.iter().enumerate().step_by(4) {
+            let (sin, cos) = phase.sin_cos();
+            for (i, f) in force.iter_mut().enumerate() {
+                let (s, c) = turns[(k + 1) * i % (FINE * n)];
+                *f += s * cos + c * sin;
+            }
+        }
+        let rms = (force.iter().map(|f| f * f).sum::<f64>() / force.len() as f64).sqrt();
+        let mut record = Record::empty("wide", Kind::Force, RATE);
+        let mut specimen = build(&spec, 1.0 / (RATE * FINE as f64)).expect("valid");
+        for (i, f) in force.iter().enumerate() {
+            let response = specimen.step(-f / 2.0);
+            if i % FINE == 0 {
+                record.time_s.push(record.time_s.len() as f64 / RATE);
+                record.force_n.push(f + hiss(2e-3 * rms));
+                record.displacement_m.push(response.relative_displacement_m);
+            }
+        }
+        let size = (record.displacement_m.iter().map(|d| d * d).sum::<f64>() / n as f64).sqrt();
+        record.displacement_m.iter_mut().for_each(|d| *d += hiss(3e-3 * size));
+        let error = compare(&record, &spec).expect("comparable").error;
+        let (left, floor) = (error.nrmse_d.expect("measured"), error.noise_floor_d.expect("measured"));
+        assert!((0.5..2.0).contains(&(left / floor)), "{part_of_nyquist}: {left} {floor}");
+    }
+}

@@ -20,6 +20,14 @@ pub fn force_on_time(record: &Record, late_s: f64) -> Record {
     Record { force_n, ..record.clone() }
 }
 
+/// Noise of the sensor of an applied force of which so much looks like white noise: one that fills the whole band leaves nothing to tell it by.
+pub fn applied_noise(hiss: f64, force: &[f64]) -> f64 {
+    match rms(force) {
+        size if hiss < FILLED * size => hiss,
+        size => UNKNOWN * size,
+    }
+}
+
 /// The motion of a mass that a force is applied to, with instruments corrected as they were found.
 pub(super) fn motion(
     record: &Record,
@@ -57,11 +65,7 @@ pub(super) fn motion(
         None => (fused.acceleration_m_s2.clone(), fused.acceleration_noise_m_s2),
     };
     let over_mass: Vec<f64> = force.iter().map(|f| f / mass_kg).collect();
-    // A force that fills the whole band leaves nothing to tell the noise of its sensor by.
-    let drive_noise_m_s2 = match noise(&over_mass) {
-        hiss if hiss < FILLED * rms(&over_mass) => hiss,
-        _ => UNKNOWN * rms(&over_mass),
-    };
+    let drive_noise_m_s2 = applied_noise(noise(&over_mass), &over_mass);
     Ok(Motion {
         restoring_m_s2: over_mass.iter().zip(&seen).map(|(f, a)| f - a).collect(),
         drive_m_s2: driving(&over_mass, &fused.displacement_m, rate),

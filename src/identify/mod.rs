@@ -21,7 +21,7 @@ pub mod together;
 mod weighing;
 mod windows;
 
-pub use applied::force_on_time;
+pub use applied::{applied_noise, force_on_time};
 
 use crate::record::{Record, mended::mended};
 use std::borrow::Cow;
