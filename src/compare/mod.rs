@@ -8,6 +8,7 @@
 //! the last whole cycles of each step, or a whole record that has no steps.
 
 mod account;
+mod against;
 mod band;
 mod force;
 mod harmonics;
@@ -28,7 +29,7 @@ pub use window::{Window, windows};
 
 use crate::model::{ModelError, ModelSpec};
 use crate::record::mended::mended;
-use crate::record::quality::{self, Finding};
+use crate::record::quality::{self, Finding, Severity};
 use crate::record::{Kind, Record};
 use crate::sweep::Direction;
 use band::Band;
@@ -173,11 +174,20 @@ pub fn compare(record: &Record, spec: &ModelSpec) -> Result<Comparison, CompareE
     check(record)?;
     let record = &*mended(record);
     std::thread::scope(|scope| {
-        let quality = scope.spawn(|| quality::examine(record));
+        let quality = scope.spawn(|| quality(record, spec));
         let mut comparison = judge(record, spec)?;
         comparison.quality = joined(quality);
         Ok(comparison)
     })
+}
+
+/// What is wrong with a record, on its own and then against a model that is to judge it or be judged; the worst first.
+pub fn quality(record: &Record, spec: &ModelSpec) -> Vec<Finding> {
+    let mut findings = quality::examine(record);
+    if findings.iter().all(|finding| finding.severity != Severity::Error) {
+        findings.splice(0..0, against::examine(record, spec));
+    }
+    findings
 }
 
 /// Waits for a thread; its panic goes on in this one.

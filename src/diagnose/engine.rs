@@ -7,13 +7,15 @@ use super::search::{Effort, Searcher};
 use super::thresholds::Thresholds;
 use super::verdict::{self, Verdict};
 use super::{late, parts};
+use crate::compare::quality;
 use crate::identify::kinematics::Tolerances;
 use crate::identify::motion::{Motion, MotionError};
 use crate::identify::together::{Setting, TogetherError};
 use crate::identify::{force_on_time, in_its_band};
 use crate::model::{ModelError, ModelSpec};
-use crate::record::{Record, quality};
+use crate::record::Record;
 use crate::record::mended::mended;
+use crate::record::quality::Severity;
 use std::time::Instant;
 
 /// How a diagnosis is done.
@@ -81,7 +83,7 @@ pub fn diagnose_together(
     let begun = Instant::now();
     let records: Vec<_> = tests.iter().map(|(record, _)| mended(record)).collect();
     // As they were recorded: at the rate of its band a channel that is cut off is smooth.
-    let said = records.iter().map(|record| of_record(record, options.anyway));
+    let said = records.iter().zip(tests).map(|(record, (_, model))| of_record(record, model, options.anyway));
     let said = said.collect::<Result<Vec<_>, _>>()?.concat();
     let records: Vec<_> = records.into_iter().map(in_its_band).collect();
     let tests: Vec<(&Record, &ModelSpec)> =
@@ -221,11 +223,11 @@ fn of_motion(
 }
 
 /// What is to be said of a record; refuses one that is not fit before any physics is blamed, unless it is to be used anyway.
-fn of_record(record: &Record, anyway: bool) -> Result<Vec<String>, DiagnoseError> {
-    let text = |finding: quality::Finding| finding.text;
-    let (errors, rest): (Vec<_>, Vec<_>) = quality::examine(record)
+fn of_record(record: &Record, model: &ModelSpec, anyway: bool) -> Result<Vec<String>, DiagnoseError> {
+    let text = |finding: crate::record::quality::Finding| finding.text;
+    let (errors, rest): (Vec<_>, Vec<_>) = quality(record, model)
         .into_iter()
-        .partition(|finding| !anyway && finding.severity == quality::Severity::Error);
+        .partition(|finding| !anyway && finding.severity == Severity::Error);
     if !errors.is_empty() {
         let faults: Vec<String> = errors.into_iter().map(text).collect();
         return Err(DiagnoseError::Unfit { record: record.source.clone(), faults: faults.join("; ") });

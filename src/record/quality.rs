@@ -63,7 +63,7 @@ pub struct Finding {
 }
 
 impl Finding {
-    pub(super) fn new(
+    pub(crate) fn new(
         severity: Severity,
         problem: Problem,
         channel: Option<Role>,
