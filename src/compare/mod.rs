@@ -12,6 +12,7 @@ mod against;
 mod band;
 mod force;
 mod harmonics;
+mod lag;
 mod noise;
 mod response;
 mod sentence;
@@ -37,6 +38,9 @@ use force::ResidualForce;
 use response::Measured;
 use serde::Serialize;
 use slices::Cells;
+
+/// Times the noise floor from which on what is left may be a lag's.
+const OUTSTANDING: f64 = 1.5;
 
 /// Why a comparison could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -243,6 +247,9 @@ fn judge(record: &Record, spec: &ModelSpec) -> Result<Comparison, CompareError> 
         measured.mass_kg,
         hissing.map(|other| account::propagated(&windows, &channels, &other)),
     );
+    if record.kind == Kind::Force && held {
+        notes.extend(late(&error, lag::of_force(&windows, &channels, rate)));
+    }
     if record.kind != Kind::Component {
         error.nrmse_force = force.as_ref().and_then(|force| slices::nrmse(force.cells.total().force));
     }
@@ -273,6 +280,24 @@ fn judge(record: &Record, spec: &ModelSpec) -> Result<Comparison, CompareError> 
         notes,
         channels,
         windows,
+    })
+}
+
+/// What is to be said of a lag of the applied force, with which so much would be left of A and D.
+fn late(error: &Error, lag: Option<(f64, [Option<f64>; 2])>) -> Option<String> {
+    let (late_s, [a, d]) = lag?;
+    let floors = [(a, error.noise_floor_a, error.nrmse_a), (d, error.noise_floor_d, error.nrmse_d)];
+    let stands_out =
+        |(_, floor, now): &(_, Option<f64>, Option<f64>)| now > &floor.map(|floor| OUTSTANDING * floor);
+    floors.iter().any(stands_out).then(|| {
+        let sense = if late_s > 0.0 { "later" } else { "earlier" };
+        let left = [("A", a), ("D", d)].map(|(name, left)| left.map(|left| format!(" {:.3} % of {name}", 100.0 * left)));
+        let left: Vec<String> = left.into_iter().flatten().collect();
+        format!(
+            "what answers the force comes {:.0} us {sense} than it says: with that taken back{} would be left",
+            1e6 * late_s.abs(),
+            left.join(" and")
+        )
     })
 }
 

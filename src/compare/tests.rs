@@ -239,6 +239,27 @@ fn an_accelerometer_sees_the_motion_that_force_and_restoring_force_make() {
 }
 
 #[test]
+fn a_lag_of_the_force_is_told_with_what_would_be_left() {
+    let spec = oscillator(2.0, 2000.0, 8.0);
+    let mut record = forced(&spec);
+    assert!(compare(&record, &spec).expect("comparable").notes.is_empty());
+    let force = record.force_n.clone();
+    for (i, late) in record.force_n.iter_mut().enumerate() {
+        *late = force[i.saturating_sub(3)];
+    }
+    let found = compare(&record, &spec).expect("comparable");
+    let us = (3e6 / RATE).round();
+    assert!(
+        found.notes.iter().any(|note| note.contains(&format!("comes {us} us earlier"))),
+        "{:?}",
+        found.notes
+    );
+    // A spring that is off leaves no lag at resonance and beside it.
+    let soft = compare(&forced(&spec), &oscillator(2.0, 1900.0, 8.0)).expect("comparable");
+    assert!(soft.notes.is_empty(), "{:?}", soft.notes);
+}
+
+#[test]
 fn each_accelerometer_that_there_is_has_its_gain() {
     let spec = oscillator(500.0, 20e3, 1100.0);
     let with = |gains: &[(&str, f64)]| {

@@ -267,7 +267,7 @@ pub(super) fn on_time(channel: &[f64], late: Estimate, rate_hz: f64) -> Vec<f64>
 }
 
 /// A channel so much earlier, s.
-pub(super) fn earlier(channel: &[f64], by_s: f64, rate_hz: f64) -> Vec<f64> {
+pub(crate) fn earlier(channel: &[f64], by_s: f64, rate_hz: f64) -> Vec<f64> {
     Spectrum::of(channel, rate_hz).multiply(|w| Complex64::from_polar(1.0, w * by_s)).channel()
 }
 
