@@ -5,6 +5,7 @@ use super::window::Window;
 use crate::identify::spectral::{along_straight_lines, held_1_s2};
 use crate::model::system::System;
 use crate::model::{ModelSpec, Observer, Regime, Specimen, build};
+use crate::record::quality::white_noise;
 use crate::record::{Kind, Record};
 use crate::signal::{TableNoise, hann, rising, table_acceleration, table_noise};
 use rand::{Rng, SeedableRng};
@@ -72,9 +73,15 @@ pub struct Measured {
     pub gain_a: f64,
     /// Displacement, m.
     pub d: Vec<f64>,
+    /// White noise of the displacement, m.
+    noise_m: f64,
     /// Samples of the fastest cycle.
     pub cycle: usize,
 }
+
+/// Part of a cycle to either side that tells a state, and times the noise that a cubic leaves there at most to be the motion.
+const STATE: usize = 12;
+const SMOOTH: f64 = 1.5;
 
 /// A table's motion of at least so many samples a cycle loses less than a ten-thousandth between lines.
 const SHORT_CYCLE: usize = 200;
@@ -144,8 +151,10 @@ impl Measured {
             (_, [false, true]) => two,
             _ => 0.5 * (one + two),
         };
+        let noise_m = white_noise(&d);
         Ok(Self {
             gain_a,
+            noise_m,
             kind: record.kind,
             dt_s: 1.0 / rate,
             mass_kg,
@@ -184,6 +193,25 @@ impl Measured {
         let beside = if sample < inner { inner + wide } else { inner - wide };
         let change = if sample == inner { 0.0 } else { within(inner) - within(beside) };
         within(inner) + change * sample.abs_diff(inner) as f64 / wide as f64
+    }
+
+    /// Displacement (m) and its rate (m/s) at a sample by the cubic through a sixth of a cycle about it, which noise moves least; nothing
+    /// where it leaves more than noise.
+    fn state(&self, sample: usize) -> Option<(f64, f64)> {
+        let half = self.cycle / STATE;
+        let piece = self.d.get(sample.checked_sub(half)?..=sample + half).filter(|_| half > 2)?;
+        let at = |i: usize| i as f64 - half as f64;
+        let sum = |power: i32| (0..piece.len()).map(|i| at(i).powi(power)).sum::<f64>();
+        let of = |power: i32| piece.iter().enumerate().map(|(i, d)| at(i).powi(power) * d).sum::<f64>();
+        let (none, two, four, six) = (sum(0), sum(2), sum(4), sum(6));
+        let even = none * four - two * two;
+        let (d, bend) = ((four * of(0) - two * of(2)) / even, (none * of(2) - two * of(0)) / even);
+        let odd = two * six - four * four;
+        let (slope, twist) = ((six * of(1) - four * of(3)) / odd, (two * of(3) - four * of(1)) / odd);
+        let cubic = |t: f64| d + t * (slope + t * (bend + t * twist));
+        let left = piece.iter().enumerate().map(|(i, d)| (d - cubic(at(i))).powi(2)).sum::<f64>();
+        let is_motion = left < (SMOOTH * self.noise_m).powi(2) * piece.len() as f64;
+        is_motion.then_some((d, slope / self.dt_s))
     }
 
     /// Length of the imposed beginning, samples: none when the record starts from rest, which the
@@ -235,9 +263,14 @@ fn without_offset(mut d: Vec<f64>, notes: &mut Vec<String>) -> Vec<f64> {
     d
 }
 
-/// Samples between rising crossings of the mean, over the whole channel.
+/// Samples between rising crossings of the mean, from the first to the last: a motion that dies out rests for most of its channel.
 fn typical_cycle(channel: &[f64]) -> usize {
-    (channel.len() / (rising(channel, 0.3).count() + 1)).max(1)
+    let at: Vec<usize> = rising(channel, 0.3).map(|crossing| crossing.above).collect();
+    match at[..] {
+        [first, .., last] => (last - first) / (at.len() - 1),
+        _ => channel.len() / (at.len() + 1),
+    }
+    .max(1)
 }
 
 /// Whether something brings the mass back: a spring, or a cubic one.
@@ -310,7 +343,10 @@ impl Run<'_> {
         let Some(last) = range.clone().last() else { return };
         for i in range {
             let v = self.measured.velocity(i, self.measured.cycle);
-            let response = self.specimen.impose(self.measured.d[i], v);
+            // What it goes on from as well as it is known.
+            let state = if i == last { self.measured.state(i) } else { None };
+            let (d, v) = state.unwrap_or((self.measured.d[i], v));
+            let response = self.specimen.impose(d, v);
             self.push(i, &response);
         }
         self.specimen.prime(self.drive(last));

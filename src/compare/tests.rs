@@ -382,3 +382,24 @@ fn a_force_that_reaches_far_up_the_band_is_no_noise() {
         assert!((0.5..2.0).contains(&(left / floor)), "{part_of_nyquist}: {left} {floor}");
     }
 }
+
+#[test]
+fn a_free_decay_is_started_where_it_still_moves() {
+    let mut spec = oscillator(2.0, 2842.0, 1.5);
+    spec.effects.push(effect("coulomb-friction", &[("fc_n", 0.3), ("vt_m_s", 1e-3)]));
+    let mut random = rand_pcg::Pcg64::seed_from_u64(9);
+    let mut record = Record::empty("decay", Kind::Force, RATE);
+    let mut specimen = build(&spec, 1.0 / RATE).expect("valid");
+    for i in 0..20_000 {
+        let response = if i == 0 { specimen.impose(0.02, 0.0) } else { specimen.step(0.0) };
+        let hiss: f64 = random.sample(rand_distr::StandardNormal);
+        record.time_s.push(f64::from(i) / RATE);
+        record.force_n.push(0.0);
+        record.displacement_m.push(response.relative_displacement_m + 7e-6 * hiss);
+    }
+    let found = compare(&record, &spec).expect("comparable");
+    assert!(matches!(found.method, Method::WarmStart { from_s } if from_s < 0.5), "{:?}", found.method);
+    let (left, floor) =
+        (found.error.nrmse_d.expect("measured"), found.error.noise_floor_d.expect("measured"));
+    assert!(left < 1.5 * floor, "{left} {floor}");
+}
