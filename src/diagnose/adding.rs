@@ -5,6 +5,7 @@
 use super::instruments::{self, Estimate95, Finding};
 use super::out_there::out_there;
 use super::search::{Effort, Searcher};
+use super::thresholds::Thresholds;
 use super::trial::{self, Trial};
 use super::{candidates, verdict};
 use crate::identify::kinematics::Tolerances;
@@ -93,7 +94,7 @@ pub fn add(
     }
     let record = &*readied(record);
     let motion = Motion::of(record, nominal.mass_kg, Tolerances::default())?;
-    let searcher = Searcher::new(&motion, nominal, Effort::default());
+    let searcher = Searcher::new(&motion, nominal, Effort::default()).only(effect);
     let base = searcher.base(nominal).ok_or(AddError::NoResponse { with: "as it is" })?;
     let errors = |problem: &Problem<'_>, re_fitted: Option<Vec<(usize, OutputError)>>| {
         let given = problem.output_error(nominal, 0.0, Part::HeldOut);
@@ -168,9 +169,15 @@ fn fitted(
     // What stands beside it now is another effect.
     let judged = judged.swap_remove(0);
     let by_force = searcher.finish(&judged);
-    // The starts that the response itself puts first, as a diagnosis has them.
+    // As a diagnosis finds it that knows of no other effect.
     let free = fixed_start.is_empty() && effect.place != Place::User;
-    let by_response = if free { searcher.with_effect(base, effect, judged.refit) } else { None };
+    let by_response = if free && searcher.measured.is_some() {
+        let found = searcher.search(base.clone(), Thresholds::default());
+        let mut found = found.stages.into_iter().flat_map(|stage| stage.finalists);
+        found.find(|trial| trial.names.last() == Some(&given.name))
+    } else {
+        None
+    };
     match (by_force, by_response) {
         (Some(one), Some(other)) => Some(if verdict::apart(&other, &one) > 0.0 { other } else { one }),
         (one, other) => one.or(other),

@@ -165,18 +165,6 @@ impl Searcher<'_> {
         parts::done("shapes and summits");
         finalists
     }
-
-    /// One effect alone on top of a fitted model, a fit of it by force at hand.
-    pub(super) fn with_effect(
-        &self,
-        from: &Trial,
-        effect: &'static Effect,
-        by_force: Refit,
-    ) -> Option<Trial> {
-        let (measured, scales) = (self.measured.as_ref()?, candidates::scales(&from.refit.spec, self.motion));
-        let fitted = self.by_response(measured, (from, None), &[(effect.name, by_force)], &[effect], &scales);
-        fitted.into_iter().find(|trial| verdict::last_name(trial) == effect.name)
-    }
 }
 
 /// What starts of effects bring to first order: all of them, best first, then those that are kept again, with everything else moved as the

@@ -91,6 +91,8 @@ pub struct Searcher<'a> {
     stride: usize,
     /// Effects that are not tried.
     without: Vec<&'static str>,
+    /// The one effect that is tried, and no other beside it.
+    only: Option<&'static Effect>,
     /// The response to lay models against, where there is one.
     pub(super) measured: Option<Measured<'a>>,
 }
@@ -124,7 +126,7 @@ impl<'a> Searcher<'a> {
             }
         }
         let stride = total.div_ceil(effort.output_samples.max(1)).max(1);
-        Self { motion, effort, screening, fitting, fitted, stride, without: Vec::new(), measured }
+        Self { motion, effort, screening, fitting, fitted, stride, without: Vec::new(), only: None, measured }
     }
 
     /// The same with effects left untried that cannot be there.
@@ -132,8 +134,16 @@ impl<'a> Searcher<'a> {
         Self { without: names.to_vec(), ..self }
     }
 
+    /// The same with one effect alone.
+    pub fn only(self, effect: &'static Effect) -> Self {
+        Self { effort: Effort { together: 1, ..self.effort }, only: Some(effect), ..self }
+    }
+
     /// Effects that are tried on top of a model.
     pub(super) fn candidates(&self, spec: &ModelSpec) -> Vec<&'static Effect> {
+        if let Some(effect) = self.only {
+            return vec![effect];
+        }
         let mut effects = candidates::physical(spec);
         effects.retain(|effect| !self.without.contains(&effect.name));
         effects
