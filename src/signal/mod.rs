@@ -16,7 +16,7 @@ pub use butterworth::{BandPass, FilterBank};
 pub use low_pass::LowPass;
 pub use offline::{RecordStep, analyse_record, band_pass, fundamental_hz, hann, project};
 pub(crate) use offline::{cycles_hz, rising, step_cycles_hz};
-pub use spectrum::{EASED, EASED_FOURTH, Spectrum, TAPERED};
+pub use spectrum::{EASED, EASED_FOURTH, Spectrum, TAPERED, fast_length};
 pub use table_motion::{TableMotion, TableNoise, table_acceleration, table_noise};
 
 /// Lower corner of the paper's band-pass, Hz (Andreaus and De Angelis 2020).

@@ -243,7 +243,7 @@ impl Clone for Spectrum {
 }
 
 /// The next even length with no prime factor above 5.
-fn fast_length(at_least: usize) -> usize {
+pub fn fast_length(at_least: usize) -> usize {
     let mut length = at_least.max(2).next_multiple_of(2);
     loop {
         let mut rest = length;

@@ -5,17 +5,20 @@
 //! asked in windows, times smooth functions that vanish at their ends, and integrated by parts (Shinbrot 1957): no
 //! derivative is taken of what was measured, and the ends do not count.
 
+use crate::parallel;
 use crate::record::data::{Kind, Record, Role};
 use crate::record::kinematic::typical_cycle;
-use crate::signal::Spectrum;
+use crate::signal::{Spectrum, fast_length};
 use nalgebra::{DMatrix, DVector};
 use realfft::num_complex::Complex64;
 use std::f64::consts::TAU;
 
 /// Windows: at least and at most so many, of so many cycles.
 const FEWEST: usize = 6;
-const MOST: usize = 96;
+const MOST: usize = 48;
 const CYCLES: f64 = 12.0;
+/// Frequency up to which the relation is asked, over the typical one.
+const UP_TO: f64 = 12.0;
 /// Share of the largest power of a window from which on a bin is motion, and of that of all windows from which on a window has any.
 const STRONG: f64 = 0.01;
 const MOVES: f64 = 1e-4;
@@ -75,13 +78,16 @@ pub(super) fn find(record: &Record) -> Vec<Coupling> {
     if !there(&displacement) || !table.as_ref().is_none_or(there) {
         return Vec::new();
     }
+    let roles: Vec<Role> =
+        std::iter::once(displacement).chain(table).chain(accelerometers.iter().copied()).collect();
+    let channels: Vec<&[f64]> = roles.iter().map(|role| record.channel(*role)).collect();
+    let Some(seen) = Seen::of(&channels, record.sample_rate_hz) else { return Vec::new() };
+    let place = |role: Role| roles.iter().position(|other| *other == role);
     let told: Option<Vec<_>> = accelerometers
         .iter()
         .map(|role| {
-            let roles = [Some(displacement), Some(*role), table];
-            let channels: Vec<&[f64]> =
-                roles.into_iter().flatten().map(|role| record.channel(role)).collect();
-            let relation = Relation::of(&channels, record.sample_rate_hz)?;
+            let places = [Some(displacement), Some(*role), table].into_iter().flatten().filter_map(place);
+            let relation = Relation::of(&seen, &places.collect::<Vec<_>>())?;
             let lowest_rad_s = relation.lowest_rad_s;
             let coupling = |role, corner_rad_s| Coupling { role, corner_rad_s, lowest_rad_s };
             let (of_mass, of_table) = relation.corners();
@@ -141,45 +147,78 @@ impl Told {
     }
 }
 
-impl Relation {
-    /// Of the displacement, the acceleration of the mass and that of the table; `None` of what is too short.
+/// Spectra of windows of some channels, up to the highest bin that is asked, and the white noise of each channel, as bins have it.
+struct Seen {
+    windows: Vec<Vec<Spectrum>>,
+    noise: Vec<f64>,
+}
+
+impl Seen {
+    /// Of channels of which the first tells how long a cycle is; `None` of what is too short.
     fn of(channels: &[&[f64]], rate_hz: f64) -> Option<Self> {
-        let samples = channels[0].len();
+        let samples = channels.first()?.len();
         let cycle = typical_cycle(channels[0])?;
-        let length = (CYCLES * cycle).clamp(64.0, 1e9) as usize / 2 * 2;
+        let length = fast_length((CYCLES * cycle).clamp(64.0, 1e9) as usize);
         let count = (samples / length).min(MOST);
         if count < FEWEST {
             return None;
         }
-        let start = |k: usize| k * (samples - length) / (count - 1);
-        let spectra: Vec<Vec<Spectrum>> = crate::parallel::map(
-            &(0..count).map(start).collect::<Vec<_>>(),
-            crate::parallel::cores(),
-            |start| {
-                let window = *start..*start + length;
-                channels.iter().map(|channel| Spectrum::of_piece(&channel[window.clone()], rate_hz)).collect()
-            },
-        );
-        let noise = noise(&spectra);
-        let strength = |window: &[Spectrum], bin: usize| -> f64 {
-            window[1..].iter().map(|spectrum| smooth(spectrum, bin, 0).norm_sqr()).sum()
-        };
-        let bins = spectra[0][0].bins.len();
-        let strongest = |window: &Vec<Spectrum>| {
-            let bins = (4..bins - 2).map(|bin| (strength(window, bin), window[0].omega_rad_s(bin)));
-            bins.fold((0.0, 0.0), |top, of| if of.0 > top.0 { of } else { top })
-        };
-        let tops: Vec<(f64, f64)> = spectra.iter().map(strongest).collect();
-        let top = tops.iter().map(|(power, _)| *power).fold(0.0, f64::max);
+        let starts: Vec<usize> = (0..count).map(|k| k * (samples - length) / (count - 1)).collect();
+        let bins = (UP_TO * length as f64 / cycle) as usize + 3;
+        let seen = parallel::map(&starts, parallel::cores(), |start| {
+            let of = |channel: &&[f64]| {
+                let mut spectrum = Spectrum::of_piece(&channel[*start..*start + length], rate_hz);
+                let noise = top_of_band(&spectrum);
+                spectrum.bins.truncate(bins);
+                (spectrum, noise)
+            };
+            channels.iter().map(of).unzip()
+        });
+        let (windows, told): (Vec<Vec<Spectrum>>, Vec<Vec<f64>>) = seen.into_iter().unzip();
+        let noise = (0..channels.len()).map(|channel| {
+            let mut of_windows: Vec<f64> = told.iter().map(|of_window| of_window[channel]).collect();
+            of_windows.sort_by(f64::total_cmp);
+            of_windows[count / 2]
+        });
+        Some(Self { noise: noise.collect(), windows })
+    }
+}
+
+impl Relation {
+    /// Of the displacement, the acceleration of the mass and that of the table, by their places among what is seen; `None` where
+    /// too few windows move.
+    fn of(seen: &Seen, places: &[usize]) -> Option<Self> {
+        let noise = seen.noise[places[0]];
+        let noise_of_accelerations: f64 = places[1..].iter().map(|place| seen.noise[*place]).sum();
+        let windows: Vec<Vec<&Spectrum>> =
+            seen.windows.iter().map(|window| places.iter().map(|place| &window[*place]).collect()).collect();
+        // Power of the accelerations in each bin from the fourth on.
+        let powers: Vec<Vec<f64>> = windows
+            .iter()
+            .map(|window| {
+                let power = |bin| window[1..].iter().map(|of| smooth(of, bin, 0).norm_sqr()).sum();
+                (4..window[0].bins.len().saturating_sub(2)).map(power).collect()
+            })
+            .collect();
+        let tops: Vec<f64> = powers.iter().map(|powers| powers.iter().copied().fold(0.0, f64::max)).collect();
+        let top = tops.iter().copied().fold(0.0, f64::max);
         let (mut grams, mut equations, mut lowest_rad_s) = (Vec::new(), 0.0, f64::INFINITY);
-        for (window, (of_window, at_rad_s)) in spectra.iter().zip(tops).filter(|(_, of)| of.0 > MOVES * top) {
-            lowest_rad_s = lowest_rad_s.min(at_rad_s);
+        for ((window, powers), of_window) in windows.iter().zip(&powers).zip(tops) {
+            if of_window <= MOVES * top {
+                continue;
+            }
             let mut gram = DMatrix::zeros(7, 7);
-            for bin in (4..bins - 2).filter(|bin| strength(window, *bin) > STRONG * of_window) {
+            for (bin, power) in powers.iter().enumerate().map(|(i, power)| (i + 4, *power)) {
+                if power <= STRONG * of_window {
+                    continue;
+                }
                 let w = window[0].omega_rad_s(bin);
-                let scale = (w * w * w * noise[0]).hypot(w * noise[1..].iter().sum::<f64>()).max(1e-300);
+                if power >= of_window {
+                    lowest_rad_s = lowest_rad_s.min(w);
+                }
+                let scale = (w * w * w * noise).hypot(w * noise_of_accelerations).max(1e-300);
                 let mut row = [Complex64::ZERO; 7];
-                row[LEFT] = smooth(&window[0], bin, 3) / scale;
+                row[LEFT] = smooth(window[0], bin, 3) / scale;
                 for (spectrum, places) in window[1..].iter().zip([MASS, TABLE]) {
                     for (place, order) in places.into_iter().zip([1, 0, 2]) {
                         row[place] = smooth(spectrum, bin, order) / scale;
@@ -194,12 +233,8 @@ impl Relation {
             }
             grams.push(gram);
         }
-        (grams.len() >= FEWEST).then_some(Self {
-            grams,
-            equations,
-            lowest_rad_s,
-            with_table: channels.len() > 2,
-        })
+        let with_table = places.len() > 2;
+        (grams.len() >= FEWEST).then_some(Self { grams, equations, lowest_rad_s, with_table })
     }
 
     /// Corners of the mass's accelerometer and of the table's, rad/s, where they are beyond doubt.
@@ -289,22 +324,12 @@ fn smooth(spectrum: &Spectrum, bin: usize, order: i32) -> Complex64 {
     WINDOW.into_iter().enumerate().map(at).sum()
 }
 
-/// White noise of each channel, as its bins have it: median over the windows of what the top of the band holds.
-fn noise(spectra: &[Vec<Spectrum>]) -> Vec<f64> {
-    let bins = spectra[0][0].bins.len();
-    let top = bins * 8 / 10..bins * 19 / 20;
-    let of = |spectrum: &Spectrum| {
-        let range = top.start.max(2)..top.end.min(bins - 2);
-        let count = range.len().max(1) as f64;
-        (range.map(|bin| smooth(spectrum, bin, 0).norm_sqr()).sum::<f64>() / count).sqrt()
-    };
-    (0..spectra[0].len())
-        .map(|channel| {
-            let mut told: Vec<f64> = spectra.iter().map(|window| of(&window[channel])).collect();
-            told.sort_by(f64::total_cmp);
-            told[told.len() / 2]
-        })
-        .collect()
+/// RMS of the bins at the top of the band.
+fn top_of_band(spectrum: &Spectrum) -> f64 {
+    let bins = spectrum.bins.len();
+    let range = (bins * 8 / 10).max(2)..(bins * 19 / 20).min(bins - 2);
+    let count = range.len().max(1) as f64;
+    (range.map(|bin| smooth(spectrum, bin, 0).norm_sqr()).sum::<f64>() / count).sqrt()
 }
 
 #[cfg(test)]
