@@ -13,8 +13,9 @@ use nalgebra::{DMatrix, DVector};
 use realfft::num_complex::Complex64;
 use std::f64::consts::TAU;
 
-/// Windows: at least and at most so many, of so many cycles.
+/// Windows: at least and at most so many, of so many cycles, and how many share a sample, as their functions are narrow.
 const FEWEST: usize = 6;
+const OVERLAP: usize = 3;
 const MOST: usize = 48;
 const CYCLES: f64 = 12.0;
 /// Frequency up to which the relation is asked, over the typical one.
@@ -22,16 +23,16 @@ const UP_TO: f64 = 12.0;
 /// Share of the largest power of a window from which on a bin is motion, and of that of all windows from which on a window has any.
 const STRONG: f64 = 0.01;
 const MOVES: f64 = 1e-4;
-/// Bins that a window's function joins share noise: so many count as one.
-const COLOUR: f64 = 2.0;
+/// Bins that a window's function joins share noise, and so do windows: so many count as one.
+const COLOUR: f64 = 4.0;
 /// A corner is one from so many deviations on, and from this share of the lowest frequency that moves. None is above half of that.
 const SURE: f64 = 8.0;
 const LEAST: f64 = 1e-3;
 const HIGHEST: f64 = 0.5;
 /// Corners of all accelerometers that are as alike are one: so many deviations.
 const ALIKE: f64 = 4.0;
-/// A fit with fewer delays does as well if it leaves more by less than such a share.
-const AS_WELL: f64 = 0.05;
+/// A fit with one delay less does as well if what it leaves more is so many deviations of chance, squared, at most.
+const AS_WELL: f64 = 16.0;
 /// Below this share of the lowest frequency that moves nothing is made larger, as noise and zeros would be.
 const SLOW: f64 = 0.1;
 
@@ -159,10 +160,10 @@ impl Seen {
         let samples = channels.first()?.len();
         let cycle = typical_cycle(channels[0])?;
         let length = fast_length((CYCLES * cycle).clamp(64.0, 1e9) as usize);
-        let count = (samples / length).min(MOST);
-        if count < FEWEST {
+        if samples / length < FEWEST {
             return None;
         }
+        let count = (OVERLAP * samples / length).min(MOST);
         let starts: Vec<usize> = (0..count).map(|k| k * (samples - length) / (count - 1)).collect();
         let bins = (UP_TO * length as f64 / cycle) as usize + 3;
         let seen = parallel::map(&starts, parallel::cores(), |start| {
@@ -258,7 +259,8 @@ impl Relation {
         else {
             return none;
         };
-        let (fit, others) = if tied.0.left < (1.0 + AS_WELL) * free.0.left { tied } else { free };
+        let (fit, others) =
+            if tied.0.left < (1.0 + AS_WELL / self.equations) * free.0.left { tied } else { free };
         self.shared_or_own(&fit, &others)
     }
 
