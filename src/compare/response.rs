@@ -2,6 +2,7 @@
 
 use super::CompareError;
 use super::window::Window;
+use crate::identify::motion::ALONG_LINES;
 use crate::identify::spectral::{along_straight_lines, held_1_s2};
 use crate::model::system::System;
 use crate::model::{ModelSpec, Observer, Regime, Specimen, build};
@@ -83,9 +84,6 @@ pub struct Measured {
 const STATE: usize = 12;
 const SMOOTH: f64 = 1.5;
 
-/// A table's motion of at least so many samples a cycle loses less than a ten-thousandth between lines.
-const SHORT_CYCLE: usize = 200;
-
 impl Measured {
     /// Takes the channels of a record, by its kind.
     /// # Errors
@@ -126,7 +124,7 @@ impl Measured {
         let cycle = windows.iter().filter(|w| w.frequency_hz.is_some()).map(|w| w.cycle_samples(rate)).min();
         let cycle = cycle.unwrap_or_else(|| typical_cycle(if d.is_empty() { &a } else { &d }));
         let d = if record.kind == Kind::Component { d } else { without_offset(d, notes) };
-        let short = record.kind == Kind::Base && cycle < SHORT_CYCLE;
+        let short = record.kind == Kind::Base && cycle < ALONG_LINES;
         let lines = if record.kind == Kind::Force || short {
             // Its sign is the table's.
             let held = if d.is_empty() {

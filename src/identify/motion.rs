@@ -146,7 +146,7 @@ pub(crate) const FINEST: f64 = 1e-6;
 /// third off what has three.
 const FEW: f64 = 20.0;
 /// Samples in a cycle from which on lines between them take less than a ten-thousandth off a sine: `(pi/n)^2/3`.
-const ALONG_LINES: f64 = 200.0;
+pub(crate) const ALONG_LINES: usize = 200;
 /// How well a solver that joins samples of a force by straight lines then tells the force of a dashpot, over the rms of the restoring force:
 /// displacements are made up for, velocities between the samples are others.
 const COARSE: f64 = 2e-3;
@@ -194,7 +194,7 @@ impl Motion {
         };
         motion.mass_kg = mass_kg;
         motion.windows = windows::cut(record, &motion, farthest);
-        let by_lines = motion.sample_rate_hz < ALONG_LINES * motion.median_frequency_hz();
+        let by_lines = motion.sample_rate_hz < ALONG_LINES as f64 * motion.median_frequency_hz();
         if motion.kind == Kind::Base && (by_lines || motion.windows.iter().any(|window| window.random)) {
             let over_mass: Vec<f64> = motion.drive_m_s2.iter().map(|table| -table).collect();
             motion.drive_m_s2 = driving(&over_mass, &motion.displacement_m, motion.sample_rate_hz);
