@@ -15,6 +15,11 @@ const HOLDS: f64 = 0.35;
 const EXPLAINED: f64 = 0.2;
 /// Gains and cross-axis leaks that the comparison of nearly equal accelerations must bear.
 const TOLERANCE: f64 = 0.03;
+/// How near a fault the table's share in D'' is, relative, and what it may leave, over that share.
+const NEAR: f64 = 0.15;
+const LEFT: f64 = 0.3;
+/// Share of the table's motion that is not the mass's own, at least, for the two to be told apart.
+const APART: f64 = 0.1;
 /// Windows looked at, and their length in cycles of the input.
 const WINDOWS: usize = 12;
 const CYCLES: f64 = 10.0;
@@ -68,7 +73,45 @@ fn base(record: &Record) -> Vec<Finding> {
     if worst > HOLDS {
         return vec![name_fault(&products, worst)];
     }
-    energy(&products).into_iter().collect()
+    table_share(&products).or_else(|| energy(&products)).into_iter().collect()
+}
+
+/// A sign or unit of the table's acceleration that hides behind a mass that moves far more than the table: both accelerations'
+/// shares in D'' are fitted, and the table's is a fault's.
+fn table_share(products: &Products) -> Option<Finding> {
+    const TABLE: usize = 1;
+    const D: usize = 4;
+    let gram = |i: usize, j: usize| products.gram[i][j];
+    let share = |mass: usize| {
+        if !(products.there[mass] && products.there[TABLE] && products.there[D]) {
+            return None;
+        }
+        let determinant = gram(mass, mass) * gram(TABLE, TABLE) - gram(mass, TABLE).powi(2);
+        if determinant < APART * gram(mass, mass) * gram(TABLE, TABLE) {
+            return None;
+        }
+        let of_mass = (gram(D, mass) * gram(TABLE, TABLE) - gram(D, TABLE) * gram(mass, TABLE)) / determinant;
+        let of_table = (gram(D, TABLE) * gram(mass, mass) - gram(D, mass) * gram(mass, TABLE)) / determinant;
+        let left = gram(D, D) - of_mass * gram(D, mass) - of_table * gram(D, TABLE) - 4.0 * products.noise[D];
+        let is_told = left < LEFT * LEFT * of_table * of_table * gram(TABLE, TABLE);
+        is_told.then_some(-of_table)
+    };
+    let told = share(2).or_else(|| share(3))?;
+    faults(products)
+        .find(|fault| {
+            let is_near = |factor: f64| (told / factor - 1.0).abs() < NEAR;
+            match *fault {
+                Fault::Sign(i) => i == TABLE && is_near(-1.0),
+                Fault::Unit(i, factor) => i == TABLE && is_near(factor),
+                Fault::Swap(..) => false,
+            }
+        })
+        .map(|fault| {
+            let problem =
+                if matches!(fault, Fault::Sign(_)) { Problem::WrongSign } else { Problem::WrongUnit };
+            let text = format!("{}: D'' = A - a_table tells", describe(&fault));
+            Finding::new(Severity::Error, problem, Some(CHANNELS[TABLE]), text, told)
+        })
 }
 
 /// The fault that explains a broken relation.
