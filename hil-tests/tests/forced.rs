@@ -181,6 +181,26 @@ fn blows_of_a_hammer_tell_a_spring_that_bends_with_all_numbers() {
 }
 
 #[test]
+fn an_accelerometer_that_comes_late_is_told_as_one() {
+    // Two samples at 2000 Hz: what filters take. A displacement that comes so much early is none, and no model carries it.
+    const LATE: usize = 2;
+    let mut record = struck(&SWING, 5);
+    record.acceleration_m_s2.rotate_right(LATE);
+    record.acceleration_m_s2[..LATE].fill(0.0);
+    let found = found(&record, &SWING.nominal("struck", 6));
+    let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
+    assert_eq!(
+        (found.verdict, named),
+        (Verdict::Missing, vec!["accelerometer-delay"]),
+        "{:?}",
+        found.refused
+    );
+    let delay = &found.effects[0].parameters["dt_s"];
+    assert!((delay.value - LATE as f64 / record.sample_rate_hz).abs() < 2e-5, "{delay:?}");
+    assert!(found.error_after < 1.05 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+}
+
+#[test]
 fn a_free_decay_tells_dry_friction_over_the_mass_and_that_it_cannot_tell_the_mass() {
     for (rate_hz, seed) in [(2000.0, 6), (500.0, 7), (500.0, 8)] {
         tells_friction_over_the_mass(rate_hz, seed);

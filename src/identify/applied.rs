@@ -39,15 +39,18 @@ pub(super) fn motion(
     let displacement = channel(record, &record.displacement_m, "displacement_m").ok();
     let acceleration = channel(record, &record.acceleration_m_s2, "acceleration_m_s2").ok();
     let noise = |x: &[f64]| noise_of_sensor(x, rate);
-    let (late, of_displacement, of_acceleration) = match &found {
-        Some(i) => (i.laser_delay_s, i.laser_gain.value, i.accelerometers[0].gain.value),
-        None => (Estimate::default(), 1.0, 1.0),
+    let [of_displacement, of_acceleration] = match &found {
+        Some(i) => [
+            (i.laser_delay_s, i.laser_gain.value),
+            (i.accelerometers_late_s(), i.accelerometers[0].gain.value),
+        ],
+        None => [(Estimate::default(), 1.0); 2],
     };
-    let displacement = displacement.map(|seen| -> Vec<f64> {
-        on_time(seen, late, rate).into_iter().map(|x| x / of_displacement).collect()
-    });
-    let acceleration =
-        acceleration.map(|seen| -> Vec<f64> { seen.iter().map(|a| a / of_acceleration).collect() });
+    let corrected = |seen: &[f64], (late, gain): (Estimate, f64)| -> Vec<f64> {
+        on_time(seen, late, rate).into_iter().map(|x| x / gain).collect()
+    };
+    let displacement = displacement.map(|seen| corrected(seen, of_displacement));
+    let acceleration = acceleration.map(|seen| corrected(seen, of_acceleration));
     let [of_d, of_a] = [&displacement, &acceleration].map(|x| x.as_deref().map_or(0.0, noise));
     let fused = match (&displacement, &acceleration) {
         (Some(d), Some(a)) => fuse(d, of_d, a, of_a, rate),

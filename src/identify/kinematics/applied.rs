@@ -1,5 +1,5 @@
 //! Records of an applied force: displacement and acceleration of the mass are those of one motion, `D'' = A`. Which of the two is off cannot be
-//! told: what they are out of proportion by is shared by their tolerances, a delay is that of the displacement.
+//! told: what they are out of proportion by is shared by their tolerances, a delay is that of the one that comes later.
 
 use super::band::Band;
 use super::{Accelerometer, Estimate, Instruments, Tolerances, regress, twice, twice_by_shift};
@@ -47,7 +47,14 @@ pub(super) fn examine(record: &Record, tolerances: Tolerances) -> Option<Instrum
     let (of_laser, of_mass) = (tolerances.laser_gain.powi(2), tolerances.accelerometer_gain.powi(2));
     let off = (ratio > 0.0).then(|| ratio.ln())? / (of_laser + of_mass);
     let gain = |own: f64, sigma: f64| Estimate { value: (own * off).exp(), sigma };
-    let accelerometer = Accelerometer { gain: gain(-of_mass, 0.0), noise_m_s2, ..Accelerometer::default() };
+    // Nothing comes before it happens.
+    let late_by = |s: f64| Estimate { value: s.max(0.0), sigma: late_sigma_s };
+    let accelerometer = Accelerometer {
+        gain: gain(-of_mass, (ratio_sigma / ratio).max(LEAST_SIGMA)),
+        delay_s: late_by(-late_s),
+        noise_m_s2,
+        ..Accelerometer::default()
+    };
     let unexplained = dot(&left, &left);
     if unexplained > UNRELATED * dot(&d, &d) {
         return None;
@@ -55,8 +62,9 @@ pub(super) fn examine(record: &Record, tolerances: Tolerances) -> Option<Instrum
     let squares = unexplained / (left.len() as f64 - 2.0).max(1.0);
     Some(Instruments {
         accelerometers: [accelerometer; 2],
-        laser_gain: gain(of_laser, (ratio_sigma / ratio).max(LEAST_SIGMA)),
-        laser_delay_s: Estimate { value: late_s, sigma: late_sigma_s },
+        // The ratio is open, not either gain: it is the accelerometer's.
+        laser_gain: gain(of_laser, 0.0),
+        laser_delay_s: late_by(late_s),
         laser_noise_m,
         misfit: squares.sqrt() / band.expected_rms(&laser).max(1e-300),
         ..Instruments::default()
@@ -108,6 +116,14 @@ mod tests {
         }
         let rms = (deviations.iter().map(|z| z * z).sum::<f64>() / deviations.len() as f64).sqrt();
         assert!((0.5..1.6).contains(&rms), "{deviations:?}");
+    }
+
+    #[test]
+    fn the_later_one_is_late() {
+        let found = examine(&record(-8e-4, 1.0, 3), Tolerances::default()).expect("long enough");
+        assert_eq!(found.laser_delay_s.value, 0.0);
+        let late = found.accelerometers_late_s();
+        assert!((late.value - 8e-4).abs() < 4.0 * late.sigma && late.sigma < 1e-4, "{late:?}");
     }
 
     #[test]

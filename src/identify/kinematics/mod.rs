@@ -122,8 +122,10 @@ impl Instruments {
         let laser_um = 1e6 * self.laser_noise_m;
         if kind == Kind::Force {
             return format!(
-                "instruments: gain of the displacement {gain:.4} and of the acceleration {:.4}, told by their ratio; displacement late by {late_us:.0} us; noise {:.4} m/s2 and {laser_um:.1} um (taken out below tolerance)",
-                a.gain.value, a.noise_m_s2,
+                "instruments: gain of the displacement {gain:.4} and of the acceleration {:.4}, told by their ratio; displacement late by {late_us:.0} us, acceleration by {:.0} us; noise {:.4} m/s2 and {laser_um:.1} um (taken out below tolerance)",
+                a.gain.value,
+                1e6 * a.delay_s.value,
+                a.noise_m_s2,
             );
         }
         format!(
