@@ -76,6 +76,23 @@ pub fn joint(rig: Rig, play_m: f64, seed: u64) -> Record {
     })
 }
 
+/// A rig's spring and dashpot in so many cycles of one frequency, whose amplitude grows from a fifth to the whole, m.
+pub fn growing(rig: Rig, frequency_hz: f64, cycles: f64, amplitude_m: f64, seed: u64) -> Record {
+    let mut random = Pcg64::seed_from_u64(seed);
+    let (w, end_s) = (TAU * frequency_hz, cycles / frequency_hz);
+    let mut out = Record::empty("growing", Kind::Component, RATE_HZ);
+    for i in 0..(end_s * RATE_HZ) as usize {
+        let t = i as f64 / RATE_HZ;
+        let (grown, growth) = (amplitude_m * (0.2 + 0.8 * t / end_s), amplitude_m * 0.8 / end_s);
+        let (sin, cos) = (w * t).sin_cos();
+        let force = rig.stiffness_n_m * grown * sin + rig.damping_n_s_m * (grown * w * cos + growth * sin);
+        out.time_s.push(t);
+        out.displacement_m.push(grown * sin + noise(&mut random, rig.displacement_noise_m));
+        out.force_n.push(force + noise(&mut random, 3e-3 * rig.stiffness_n_m * amplitude_m));
+    }
+    out
+}
+
 /// Waves of 0.2 to 1.8 Hz and some millimetres for a minute, the force of each fine step told by what a component makes of both its ends.
 fn record(name: &str, rig: Rig, seed: u64, mut component: impl FnMut([f64; 2], f64) -> f64) -> Record {
     let mut random = Pcg64::seed_from_u64(seed);

@@ -8,8 +8,8 @@
 
 use super::band::Band;
 use super::window::{Window, windows};
-use crate::identify::applied_noise;
 use crate::identify::spectral::noise_of_whole;
+use crate::identify::{applied_noise, noise_of_whole_beside_jumps};
 use crate::record::{Kind, Record};
 use crate::signal::Spectrum;
 
@@ -62,7 +62,8 @@ pub(super) fn in_band(record: &Record, windows: &[Window], band: Option<&Band>, 
         },
         Kind::Component => {
             let scatter = scatter(&record.force_n, windows, rate).unwrap_or(0.0);
-            NoiseFloor { force_n: white(&record.force_n, rate).max(scatter), input, ..NoiseFloor::default() }
+            let hiss = middle(&record.force_n).map_or(0.0, |x| noise_of_whole_beside_jumps(x, rate));
+            NoiseFloor { force_n: hiss.max(scatter), input, ..NoiseFloor::default() }
         }
     }
 }
@@ -84,12 +85,13 @@ fn accelerometers(record: &Record, windows: &[Window], band: Option<&Band>, shar
 
 /// White noise of a channel over its whole band, RMS.
 fn white(channel: &[f64], rate: f64) -> f64 {
+    middle(channel).map_or(0.0, |piece| noise_of_whole(piece, &Spectrum::tapered(piece, rate)))
+}
+
+/// What is looked at of a channel.
+fn middle(channel: &[f64]) -> Option<&[f64]> {
     let from = (channel.len().saturating_sub(PIECE)) / 2;
-    let Some(piece) = channel.get(from..(from + PIECE).min(channel.len())).filter(|piece| piece.len() > 32)
-    else {
-        return 0.0;
-    };
-    noise_of_whole(piece, &Spectrum::tapered(piece, rate))
+    channel.get(from..(from + PIECE).min(channel.len())).filter(|piece| piece.len() > 32)
 }
 
 /// RMS of what does not repeat from one counted cycle to the next: the median over the steps, so that

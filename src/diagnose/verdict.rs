@@ -5,6 +5,7 @@ use super::search::{Search, Searcher};
 use super::structure;
 use super::thresholds::Thresholds;
 use super::trial::{Trial, schwarz_nats};
+use crate::identify::numbers::Number;
 use crate::parallel;
 use crate::record::Kind;
 use serde::Serialize;
@@ -229,7 +230,8 @@ pub fn leaves_noise(searcher: &Searcher<'_>, trial: &Trial, thresholds: Threshol
 /// Of 69 records of nothing missing the one with most had an effect that brought 4.2 nats, of the 6 that are asked.
 const MORE: [f64; 2] = [1.25, 2.0];
 
-/// Of what was named on records with a known truth, so much was there, however sure the likelihood was (docs/diagnose.md).
+/// Of what was named on records with a known truth, so much was there, however sure the likelihood was
+/// (docs/diagnosis-evidence.md).
 pub const EXPERIENCE: f64 = 0.97;
 
 /// Whether a trial brings more than chance on the held-out steps and on those of the fit: a gain on either alone may be one
@@ -321,16 +323,37 @@ fn leading(trial: &Trial) -> Option<usize> {
     trial.refit.numbers.numbers.iter().position(|number| number.key.starts_with(&prefix))
 }
 
+/// Share of its deviation below which a strength is none.
+const NOTHING: f64 = 0.01;
+
 /// The interval of the leading parameter of the added effect excludes zero (how fast a stiffness falls that does not fall may be known
 /// all the same): the one of 95 % where the simulated response decides, whose
 /// nats have told chance already; else by 3.5 standard deviations of the coloured fit.
 fn excludes_zero(trial: &Trial, from: &Trial) -> bool {
-    let (refit, times) = (&trial.refit, if trial.response.is_some() { 1.96_f64 } else { 3.5 });
-    leading(trial).is_some_and(|j| {
-        let (number, value, sigma) = (&refit.numbers.numbers[j], refit.fit.values[j], refit.sigmas[j]);
-        // A number fitted by its logarithm is away from zero when its magnitude is known.
-        let known = if number.logarithmic { sigma < 0.5 } else { value.abs() > times * sigma };
-        known || !number.logarithmic && trial.training_gain(from) > 0.5 * times.powi(2)
+    let is_linear = |(number, value, sigma): (&Number, f64, f64)| {
+        // What ends at nothing has let the others fit better, and explains nothing itself.
+        !number.logarithmic && value.abs() > NOTHING * sigma
+    };
+    let brings = || trial.training_gain(from) > 0.5 * told_by(trial).powi(2);
+    is_there(trial) || strength(trial).is_some_and(is_linear) && brings()
+}
+
+/// How strong the effect added last is, among the numbers that were fitted: the number, its value and deviation.
+fn strength(trial: &Trial) -> Option<(&Number, f64, f64)> {
+    let refit = &trial.refit;
+    leading(trial).map(|j| (&refit.numbers.numbers[j], refit.fit.values[j], refit.sigmas[j]))
+}
+
+/// Deviations by which a strength differs from none.
+fn told_by(trial: &Trial) -> f64 {
+    if trial.response.is_some() { 1.96 } else { 3.5 }
+}
+
+/// Whether the interval of the strength of the effect added last excludes none. One fitted by its logarithm is away from that when its
+/// magnitude is known.
+pub fn is_there(trial: &Trial) -> bool {
+    strength(trial).is_some_and(|(number, value, sigma)| {
+        if number.logarithmic { sigma < 0.5 } else { value.abs() > told_by(trial) * sigma }
     })
 }
 

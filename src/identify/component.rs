@@ -1,7 +1,8 @@
 //! Records of a component: a motion is imposed on it, the force that takes is measured. Nothing moves freely: the model's mass is a
 //! number that force is told over, here as in all other records.
 
-use super::fused::differentiate;
+use super::fused::imposed;
+use super::jumpless::noise_beside_jumps;
 use super::motion::{Motion, MotionError, channel};
 use super::response::{are_too_many, beside_jumps_of_few_samples};
 use super::spectral::noise_of_sensor;
@@ -14,10 +15,10 @@ pub(super) fn motion(record: &Record, mass_kg: f64) -> Result<Motion, MotionErro
     let displacement = channel(record, &record.displacement_m, "displacement_m")?;
     let force = channel(record, &record.force_n, "force_n")?;
     let laser_noise_m = noise_of_sensor(displacement, rate);
-    let fused = differentiate(displacement, laser_noise_m, rate);
+    let fused = imposed(displacement, laser_noise_m, rate);
     Ok(Motion {
         restoring_m_s2: force.iter().map(|f| f / mass_kg).collect(),
-        restoring_noise_m_s2: noise_of_sensor(force, rate) / mass_kg,
+        restoring_noise_m_s2: noise_beside_jumps(force, rate) / mass_kg,
         laser_noise_m,
         ..fused.motion(record)
     })

@@ -2,11 +2,18 @@
 //! integrated with zero phase, each with its noise. Called when a motion is made ready, and by the kinematics.
 
 use super::motion::Motion;
+use super::ramps::{self, Ramps};
 use super::together::Source;
 use crate::parallel;
 use crate::record::Record;
 use crate::signal::Spectrum;
 use realfft::num_complex::Complex64;
+use std::f64::consts::PI;
+
+/// Where a displacement's noise reaches its signal it is faded out over so much of that frequency.
+const FADES_OVER: f64 = 0.6;
+/// Bins that are looked at together at least: of four of noise alone one in a thousand stands above four times their mean.
+const LEAST_BINS: usize = 16;
 
 /// Displacement and its derivatives with their noise.
 pub(super) struct Fused {
@@ -19,6 +26,18 @@ pub(super) struct Fused {
 }
 
 impl Fused {
+    /// Of a motion at constant velocities: nothing is known of the accelerations where it turns.
+    fn of_ramps(ramps: Ramps) -> Self {
+        Self {
+            acceleration_m_s2: vec![0.0; ramps.displacement_m.len()],
+            acceleration_noise_m_s2: 0.0,
+            displacement_m: ramps.displacement_m,
+            velocity_m_s: ramps.velocity_m_s,
+            displacement_noise_m: ramps.displacement_noise_m,
+            velocity_noise_m_s: ramps.velocity_noise_m_s,
+        }
+    }
+
     pub(super) fn motion(self, record: &Record) -> Motion {
         Motion {
             kind: record.kind,
@@ -62,12 +81,25 @@ pub(super) fn fuse(displacement: &[f64], sd: f64, acceleration: &[f64], sa: f64,
     })
 }
 
-/// Displacement alone: low-passed where its noise reaches the signal, then differentiated.
+/// Displacement alone: low-passed above where its noise reaches the signal, then differentiated. What is below is left as it is: a gain that
+/// falls along a narrow band makes a growing motion one of other amplitudes, as a memory would.
 pub(super) fn differentiate(displacement: &[f64], sd: f64, rate: f64) -> Fused {
     let spectrum = Spectrum::of(displacement, rate);
-    let cut = signal_end_rad_s(&spectrum, sd);
-    let low = move |w: f64| 1.0 / (1.0 + (w / cut).powi(8));
+    // What joins the ends beyond the record has corners of its own.
+    let cut = signal_end_rad_s(&Spectrum::eased(displacement, rate), sd);
+    let low = move |w: f64| {
+        let beyond = ((w / cut - 1.0) / FADES_OVER).clamp(0.0, 1.0);
+        (0.5 * PI * beyond).cos().powi(2)
+    };
     derivatives(&spectrum.multiply(|w| Complex64::from(low(w))), |w| (sd * low(w)).powi(2))
+}
+
+/// A displacement that is imposed: along its ramps where it has any, else as any.
+pub(super) fn imposed(displacement: &[f64], sd: f64, rate: f64) -> Fused {
+    match ramps::examine(displacement, sd, rate) {
+        Some(ramps) => Fused::of_ramps(ramps),
+        None => differentiate(displacement, sd, rate),
+    }
 }
 
 /// Acceleration alone: integrated above 0.3 of the frequency below which a hundredth of its power lies.
@@ -114,8 +146,8 @@ fn derivatives(spectrum: &Spectrum, density: impl Fn(f64) -> f64 + Sync) -> Fuse
 
 /// Highest angular frequency at which the smoothed spectrum stands above the noise.
 fn signal_end_rad_s(spectrum: &Spectrum, noise: f64) -> f64 {
-    let floor = 4.0 * spectrum.bins.len() as f64 * 2.0 * noise * noise;
-    let width = (spectrum.bins.len() / 400).max(4);
+    let floor = 4.0 * spectrum.white_noise_power(noise);
+    let width = (spectrum.bins.len() / 400).max(LEAST_BINS);
     let mut end = width;
     for (i, chunk) in spectrum.bins.chunks(width).enumerate() {
         let mean = chunk.iter().map(|z| z.norm_sqr()).sum::<f64>() / chunk.len() as f64;

@@ -5,6 +5,7 @@ mod base;
 mod component;
 mod filtered;
 mod fused;
+mod jumpless;
 pub mod kinematics;
 pub mod least_squares;
 pub mod motion;
@@ -12,6 +13,7 @@ pub mod numbers;
 mod output_error;
 pub mod periodic;
 pub mod problem;
+mod ramps;
 pub mod refit;
 pub mod response;
 mod reversals;
@@ -22,6 +24,7 @@ mod weighing;
 mod windows;
 
 pub use applied::{applied_noise, force_on_time};
+pub use jumpless::noise_of_whole_beside_jumps;
 
 use crate::record::{Record, mended::mended};
 use std::borrow::Cow;

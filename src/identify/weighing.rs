@@ -68,7 +68,8 @@ impl Problem<'_> {
         motion.windows.iter().zip(shapes).map(of_window).collect()
     }
 
-    /// Errors of a component's force window by window, each with its number; `None` when the model cannot be built.
+    /// Errors of a component's force window by window, each with its number, over the samples that count; `None` when the model cannot be
+    /// built.
     pub(super) fn force_errors(
         &self,
         spec: &ModelSpec,
@@ -81,7 +82,7 @@ impl Problem<'_> {
         let windows = motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w));
         let force = |(k, window): (usize, &Window)| {
             let mut error = OutputError::default();
-            for (i, n) in self.samples(window).enumerate() {
+            for (i, n) in self.samples(window).enumerate().filter(|(i, _)| self.weight(k, *i) > 0.0) {
                 error.sum_a += (motion.restoring_m_s2[n] - modelled[k][i]).powi(2);
                 error.power_a += motion.restoring_m_s2[n].powi(2);
                 error.carried_a += carried[k][i].powi(2);

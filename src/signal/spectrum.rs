@@ -230,8 +230,17 @@ impl Spectrum {
         let middle = power.len() / 2;
         let (_, median, _) = power.select_nth_unstable_by(middle, f64::total_cmp);
         // |X|^2 of white noise is exponential with mean N sigma^2, and its median is ln 2 of the mean.
-        let noisy = self.samples + 2 * self.padding;
-        (*median / std::f64::consts::LN_2 / noisy as f64).sqrt() / self.window.sqrt()
+        (*median / std::f64::consts::LN_2 / self.noisy()).sqrt() / self.window.sqrt()
+    }
+
+    /// Mean power of a bin that shows nothing but white noise of the channel, rms: N sigma^2 of the window's mean square.
+    pub fn white_noise_power(&self, rms: f64) -> f64 {
+        self.noisy() * self.window * rms * rms
+    }
+
+    /// Samples that have noise of their own, or that of others as their reflection.
+    fn noisy(&self) -> f64 {
+        (self.samples + 2 * self.padding) as f64
     }
 }
 
