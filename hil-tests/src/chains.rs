@@ -14,8 +14,6 @@ const STEPS: [f64; 7] = [0.5, 0.7, 0.85, 1.0, 1.1, 1.3, 1.6];
 const CYCLES: f64 = 40.0;
 /// Amplitude of the table, m/s2.
 const TABLE_M_S2: f64 = 0.3;
-/// Noise of each sensor over the rms of what it sees.
-const NOISE: f64 = 1e-3;
 
 /// What lies between the mass and the file.
 #[derive(Clone, Copy, Debug)]
@@ -28,6 +26,8 @@ pub struct Chain {
     pub blocks_hz: [Option<f64>; 2],
     /// Whether there is an accelerometer on the mass.
     pub accelerometer: bool,
+    /// Noise of each sensor over the rms of what it sees.
+    pub noise: f64,
 }
 
 /// A stepped sine of a mass, seen through a chain.
@@ -61,10 +61,10 @@ pub fn stepped(body: &Body, chain: Chain, seed: u64) -> Record {
             block(&mut channel, TAU * corner_hz * h_s);
         }
         let Some(corner_hz) = chain.against_aliases_hz else {
-            return channel.iter().step_by(FINE).map(|x| x + noise(&mut random, NOISE * rms)).collect();
+            return channel.iter().step_by(FINE).map(|x| x + noise(&mut random, chain.noise * rms)).collect();
         };
         // What reaches the converter's band is as white there as without the filter.
-        channel.iter_mut().for_each(|x| *x += noise(&mut random, NOISE * rms * (FINE as f64).sqrt()));
+        channel.iter_mut().for_each(|x| *x += noise(&mut random, chain.noise * rms * (FINE as f64).sqrt()));
         low_pass(&mut channel, TAU * corner_hz * h_s);
         channel.into_iter().step_by(FINE).collect()
     });

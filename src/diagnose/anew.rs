@@ -28,7 +28,7 @@ const PROFILES: usize = 4;
 
 impl Searcher<'_> {
     /// A model fitted again from where the best finalist beside it has put its numbers, when that does better: what it falls by is
-    /// no added effect's.
+    /// no added effect's. From where that has put the steps, too, if its effect may as well be none.
     pub(super) fn better_placed(&self, stage: &Stage, from: &Trial) -> Option<Trial> {
         let (measured, best) = (self.measured.as_ref()?, stage.finalists.first()?);
         if best.names.len() != from.names.len() + 1 || !best.names.starts_with(&from.names) {
@@ -40,7 +40,9 @@ impl Searcher<'_> {
         let start = Trial { refit: Refit { spec, ..from.refit.clone() }, ..from.clone() };
         let settings = Settings { iterations: 20, ..Settings::default() };
         let until = Until::better_than(training);
-        let (numbers, again) = trial::fit_response(measured, &start, None, settings, until)?;
+        let steps =
+            best.response.as_ref().map(|response| &response.training).filter(|_| !verdict::is_there(best));
+        let (numbers, again) = trial::fit_response(measured, &start, steps, settings, until)?;
         let better = training.total() - again.total() > 2.0 * BETTER;
         if better { trial::judge_response(measured, &start, numbers, again) } else { None }
     }

@@ -14,7 +14,7 @@ pub struct Thresholds {
     /// coloured residuals considered): below it, chance and numerical error are explanation enough.
     pub gain: [f64; 2],
     /// The same where the simulated response decides, set so that records with nothing missing stay below
-    /// (docs/diagnose.md).
+    /// (docs/diagnosis-method.md).
     pub response: [f64; 2],
     /// The same beside an effect that was taken already: what the fit of that one has left is taken up, too.
     pub further: [f64; 2],

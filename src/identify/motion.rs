@@ -9,7 +9,7 @@
 use super::kinematics::{self, Instruments, Tolerances};
 use super::spectral::{along_straight_lines, held_1_s2};
 use super::together::Source;
-use super::{applied, base, component, windows};
+use super::{applied, base, component, periodic, windows};
 use crate::model::ModelSpec;
 use crate::record::{Kind, Record};
 use std::ops::Range;
@@ -280,22 +280,35 @@ impl Motion {
         if self.kind != Kind::Base {
             return;
         }
-        let dt = self.dt_s();
-        let zero = |r: Range<usize>| {
-            let mean = |x: &[f64]| x[r.clone()].iter().sum::<f64>() / r.len() as f64;
+        let (dt, rate) = (self.dt_s(), self.sample_rate_hz);
+        // From the first sample to the last, as velocities change.
+        let mean = |x: &[f64]| match x {
+            [first, .., last] => (x.iter().sum::<f64>() - 0.5 * (first + last)) / (x.len() - 1) as f64,
+            _ => x.iter().sum(),
+        };
+        // Of mass and table, where the table is as fast at the end as at the beginning but for so much of its mean.
+        let zero = |r: Range<usize>, moved: &dyn Fn(&[f64], f64) -> f64| {
             let change = (self.velocity_m_s[r.end - 1] - self.velocity_m_s[r.start])
                 / ((r.len() - 1).max(1) as f64 * dt);
-            (-mean(&self.restoring_m_s2) - change, mean(&self.drive_m_s2))
+            let (table, of_table) = (&self.drive_m_s2[r.clone()], mean(&self.drive_m_s2[r.clone()]));
+            let moved = moved(table, of_table);
+            (-mean(&self.restoring_m_s2[r]) - change - moved, of_table - moved)
         };
         // In a part of a record without steps the table need not come back; it does in the whole.
         let parts =
             self.windows.windows(2).any(|two| !two[1].settling && two[1].warm_from < two[0].range.end);
         let whole = parts.then(|| {
-            let (mass, table) = zero(0..self.drive_m_s2.len());
+            let (mass, table) = zero(0..self.drive_m_s2.len(), &|_, _| 0.0);
             let known = self.table_crossover_rad_s > 0.0;
             if known { (mass - table, 0.0) } else { (mass, table) }
         });
-        let own = |window: &Window| whole.unwrap_or_else(|| zero(window.range.clone()));
+        // A steady step ends somewhere within a sample of whole cycles.
+        let own = |window: &Window| {
+            let steady = |table: &[f64], mean: f64| {
+                mean - periodic::zero(table, window.frequency_hz, rate).unwrap_or(mean)
+            };
+            whole.unwrap_or_else(|| zero(window.range.clone(), &steady))
+        };
         let zeros: Vec<(f64, f64)> = self.windows.iter().map(own).collect();
         // While it settles the table does not come back: zeros are as in the steady stretch before. A sample that several windows
         // share, as what warms them up, is corrected once.

@@ -11,6 +11,8 @@ use std::f64::consts::TAU;
 const HARMONICS: usize = 9;
 /// Deviations by which a harmonic stands out of noise.
 const SIGNIFICANT: f64 = 4.5;
+/// Samples of a cycle, at least, for its zero to be told.
+const FEWEST: f64 = 8.0;
 /// Corrections of the frequency.
 const CORRECTIONS: usize = 4;
 /// Parts of a cycle whose means tell noise from motion.
@@ -53,22 +55,9 @@ pub fn periodic(
     if (channel.len() as f64) < 2.0 * cycle || cycle < 4.0 * HARMONICS as f64 {
         return None;
     }
-    let mut w = TAU * frequency_hz / rate_hz;
     let middle = 0.5 * channel.len() as f64;
     let all = vec![true; channel.len()];
-    for _ in 0..CORRECTIONS {
-        // a sin(w t) + b cos(w t) + t (c sin(w t) + d cos(w t)): c and d are what a wrong frequency makes.
-        let x = regress(channel, &all, |n| {
-            let t = n as f64 - middle;
-            let (sin, cos) = sin_cos(w * t);
-            [1.0, sin, cos, t * sin, t * cos]
-        })?;
-        let power = x[1] * x[1] + x[2] * x[2];
-        w += (x[4] * x[1] - x[3] * x[2]) / power.max(1e-300);
-    }
-    if !(w * rate_hz / TAU / frequency_hz - 1.0).abs().lt(&0.05) {
-        return None;
-    }
+    let (w, _) = fundamental(channel, frequency_hz, rate_hz)?;
     let variance = white_variance(channel);
     let (mut still, mut look) = (all, 1);
     loop {
@@ -97,6 +86,33 @@ pub fn periodic(
             kicked <= KICKED * channel.len() as f64 && is_white(&quiet, variance, (cycle / PARTS) as usize);
         return Some(Periodic { wave, rest, still: kicks, white, angle: w });
     }
+}
+
+/// What a channel that moves with about the given frequency does not come back to, whatever part of a cycle it ends in: its zero. `None`
+/// when it does not move so.
+pub fn zero(channel: &[f64], frequency_hz: f64, rate_hz: f64) -> Option<f64> {
+    let cycle = rate_hz / frequency_hz.max(1e-9);
+    let is_told = channel.len() as f64 > 2.0 * cycle && cycle > FEWEST;
+    is_told.then(|| fundamental(channel, frequency_hz, rate_hz)).flatten().map(|(_, zero)| zero)
+}
+
+/// Angle of the fundamental, rad a sample, and the constant beside it.
+fn fundamental(channel: &[f64], frequency_hz: f64, rate_hz: f64) -> Option<(f64, f64)> {
+    let (mut w, mut zero) = (TAU * frequency_hz / rate_hz, 0.0);
+    let middle = 0.5 * channel.len() as f64;
+    let all = vec![true; channel.len()];
+    for _ in 0..CORRECTIONS {
+        // a sin(w t) + b cos(w t) + t (c sin(w t) + d cos(w t)): c and d are what a wrong frequency makes.
+        let x = regress(channel, &all, |n| {
+            let t = n as f64 - middle;
+            let (sin, cos) = sin_cos(w * t);
+            [1.0, sin, cos, t * sin, t * cos]
+        })?;
+        let power = x[1] * x[1] + x[2] * x[2];
+        w += (x[4] * x[1] - x[3] * x[2]) / power.max(1e-300);
+        zero = x[0];
+    }
+    (w * rate_hz / TAU / frequency_hz - 1.0).abs().lt(&0.05).then_some((w, zero))
 }
 
 impl Periodic {
@@ -222,6 +238,20 @@ mod tests {
         let smooth = smooth.wave;
         let rms = (clean.iter().zip(&smooth).map(|(a, b)| (a - b).powi(2)).sum::<f64>() / 9000.0).sqrt();
         assert!(rms < 0.01 * (13.0 / 9000.0_f64).sqrt() * 1.6, "{rms}");
+    }
+
+    #[test]
+    fn a_zero_is_told_whatever_part_of_a_cycle_the_motion_ends_in() {
+        for length in [360, 367, 391] {
+            let motion =
+                |n: i32| 0.3 + (f64::from(n) * 0.14 + 0.4).sin() + 0.02 * (f64::from(n) * 0.42).cos();
+            let channel: Vec<f64> = (0..length).map(motion).collect();
+            let found = zero(&channel, 0.14 / TAU * 1.003, 1.0).expect("a motion");
+            let mean = channel.iter().sum::<f64>() / f64::from(length);
+            assert!((found - 0.3).abs() < 1e-3, "{length}: {found}");
+            assert!((found - 0.3).abs() < 0.2 * (mean - 0.3).abs() + 5e-4, "{length}: {found}, mean {mean}");
+        }
+        assert_eq!(zero(&[1.0; 100], 0.01, 1.0), None);
     }
 
     #[test]
