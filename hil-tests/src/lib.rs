@@ -5,3 +5,10 @@ pub mod chains;
 pub mod forced;
 pub mod hidden;
 pub mod imposed;
+
+use shaketable::diagnose::Diagnosis;
+
+/// Names of the effects that were found, in their order.
+pub fn named(found: &Diagnosis) -> Vec<&str> {
+    found.effects.iter().map(|effect| effect.name.as_str()).collect()
+}

@@ -90,7 +90,7 @@ fn a_spring_that_bends_is_named_by_the_acceleration_alone() {
     let body = Body { cubic_n_m3: 2.0, ..OSCILLATOR };
     let found = found(&felt_waves(&body, 9), &body.nominal("oscillator", 10));
     assert_eq!(found.verdict, Verdict::Missing, "{:?} {:?}", found.effects, found.refused);
-    assert_eq!(found.effects.iter().map(|e| e.name.as_str()).collect::<Vec<_>>(), ["cubic-stiffness"]);
+    assert_eq!(hil_tests::named(&found), ["cubic-stiffness"]);
     let k3 = &found.effects[0].parameters["k3_n_m3"];
     assert!((k3.value - 2.0).abs() < 0.01, "{k3:?}");
     // Its harmonics fill the band, and are not taken for noise.
@@ -140,7 +140,7 @@ fn a_hysteresis_that_grows_stiffer_as_it_is_loaded_is_named_with_its_numbers() {
     // What is measured of it beforehand holds both springs.
     let body = Body { mass_kg, stiffness_n_m: stiffness_n_m + own, damping_n_s_m, ..NOTHING };
     let found = found(&stiffening(21), &body.nominal("stiffening", 22));
-    let names: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
+    let names = hil_tests::named(&found);
     assert_eq!(
         (found.verdict, names),
         (Verdict::Missing, vec!["bouc-wen-hysteresis"]),
@@ -167,7 +167,7 @@ fn blows_of_a_hammer_tell_a_spring_that_bends_with_all_numbers() {
     // Joined by cubics over many samples in one solver and by lines in the other, they told 0.1 % too much mass, 17 deviations off.
     let body = Body { cubic_n_m3: 6.3e6, ..SWING };
     let found = found(&struck(&body, 3), &body.nominal("struck", 4));
-    let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
+    let named = hil_tests::named(&found);
     assert_eq!((found.verdict, named), (Verdict::Missing, vec!["cubic-stiffness"]), "{:?}", found.refused);
     let cubic = &found.effects[0].parameters["k3_n_m3"];
     assert!((cubic.value - body.cubic_n_m3).abs() < cubic.high95 - cubic.low95, "{cubic:?}");
@@ -188,7 +188,7 @@ fn an_accelerometer_that_comes_late_is_told_as_one() {
     record.acceleration_m_s2.rotate_right(LATE);
     record.acceleration_m_s2[..LATE].fill(0.0);
     let found = found(&record, &SWING.nominal("struck", 6));
-    let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
+    let named = hil_tests::named(&found);
     assert_eq!(
         (found.verdict, named),
         (Verdict::Missing, vec!["accelerometer-delay"]),
@@ -211,7 +211,7 @@ fn tells_friction_over_the_mass(rate_hz: f64, seed: u64) {
     let body = Body { friction_n: 1.0, ..SWING };
     let nominal = body.nominal("let go", 5);
     let found = found(&let_go(&body, 0.02, rate_hz, seed), &nominal);
-    let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
+    let named = hil_tests::named(&found);
     assert_eq!((found.verdict, named), (Verdict::Missing, vec!["coulomb-friction"]), "{:?}", found.refused);
     // Whatever it was given, the mass stays, and everything else is told over it.
     assert!(found.reidentified.iter().all(|number| number.key != "mass_kg"));

@@ -56,7 +56,7 @@ fn a_hysteresis_of_another_sharpness_than_it_is_first_taken_for_is_named_alone()
     // reached from the usual one, and Iwan's named.
     for (seed, sharpness) in [(10_080_008, 1.613), (10_086_014, 1.993)] {
         let found = case(seed, &["bouc-wen-hysteresis"], 0.05);
-        let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
+        let named = hil_tests::named(&found);
         assert_eq!((found.verdict, named), (Verdict::Missing, vec!["bouc-wen-hysteresis"]), "seed {seed}");
         let n = &found.effects[0].parameters["n"];
         assert!(n.low95 < sharpness && sharpness < n.high95, "{n:?}");
@@ -86,7 +86,7 @@ fn what_others_hide_is_tried() {
         (10_112_501, "cubic-stiffness", 0.05, Verdict::Missing),
     ] {
         let found = case(seed, &[name], size);
-        let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
+        let named = hil_tests::named(&found);
         assert_eq!((found.verdict, named), (verdict, vec![name]), "seed {seed}");
     }
 }
@@ -222,7 +222,7 @@ fn a_force_that_two_effects_make_up_for_is_outside_the_catalogue() {
 #[test]
 fn a_faint_damping_stands_before_a_hysteresis_that_does_nearly_as_well() {
     let found = case(10_097_320, &["quadratic-damping"], 0.02);
-    let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
+    let named = hil_tests::named(&found);
     assert!(matches!(found.verdict, Verdict::Missing | Verdict::Ambiguous), "{:?}", found.verdict);
     assert_eq!(named, ["quadratic-damping"]);
 }
@@ -259,7 +259,7 @@ fn one_sensor_of_the_mass_is_enough() {
         for (seed, effects) in [(5_000_701, &[][..]), (5_000_702, &["cubic-stiffness"])] {
             let recipe = Recipe { sensors, ..Recipe::of(seed, effects, 0.08) };
             let found = diagnosed(&recipe);
-            let named: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+            let named = hil_tests::named(&found);
             let verdict = if effects.is_empty() { Verdict::Adequate } else { Verdict::Missing };
             assert_eq!(
                 (found.verdict, named.as_slice()),
@@ -276,7 +276,7 @@ fn one_sensor_of_the_mass_is_enough() {
 #[test]
 fn a_knee_that_was_left_just_beyond_the_motion_is_found_within() {
     let found = case(9_200_005, &["stribeck-friction"], 0.05);
-    let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+    let names = hil_tests::named(&found);
     assert_eq!(names, ["stribeck-friction"]);
     let knee = found.reidentified.iter().find(|r| r.key == "isolator.breakpoints_m[1]").expect("fitted");
     assert!((knee.value - 0.037926).abs() < 1e-4 && knee.nominal > knee.high95, "{knee:?}");
@@ -295,7 +295,7 @@ fn a_gain_is_told_by_the_response_where_the_kinematics_leave_it_open() {
 #[test]
 fn the_noise_of_a_scaled_accelerometer_is_scaled_with_it() {
     let found = case(9_610_016, &["accelerometer-gain"], 0.12);
-    let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+    let names = hil_tests::named(&found);
     assert_eq!((found.verdict, names), (Verdict::Missing, vec!["accelerometer-gain"]));
     assert!(found.error_after < 1.02 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
 }
@@ -324,7 +324,7 @@ fn the_measured_damper_shows_memory_then_play() {
     let nominal: ModelSpec = toml::from_str(DAMPER).expect("a model");
     let found =
         diagnose(&open("0.5Hz36lb1in.parquet"), &nominal, &Options::default()).expect("a sound record");
-    let named: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
+    let named = hil_tests::named(&found);
     // Friction differs in its two directions, a constant force; play shows beside it.
     let expected = vec!["bouc-wen-hysteresis", "constant-force", "backlash"];
     assert_eq!((found.verdict, named), (Verdict::Missing, expected));

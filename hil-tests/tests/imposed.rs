@@ -13,7 +13,7 @@ fn found(record: &Record, rig: Rig, name: &str) -> Diagnosis {
 
 fn found_with(record: &Record, nominal: &ModelSpec, name: &str) -> Diagnosis {
     let found = diagnose(record, nominal, &Options::default()).expect("a sound record");
-    let named: Vec<&str> = found.effects.iter().map(|effect| effect.name.as_str()).collect();
+    let named = hil_tests::named(&found);
     assert_eq!((found.verdict, named), (Verdict::Missing, vec![name]), "{:?}", found.refused);
     found
 }
