@@ -12,7 +12,7 @@ use std::f64::consts::PI;
 
 /// Where a displacement's noise reaches its signal it is faded out over so much of that frequency.
 const FADES_OVER: f64 = 0.6;
-/// Bins that are looked at together at least: of four of noise alone one in a thousand stands above four times their mean.
+/// Bins that are looked at together at least: of noise alone, four stand above four times their mean once in ten thousand.
 const LEAST_BINS: usize = 16;
 
 /// Displacement and its derivatives with their noise.

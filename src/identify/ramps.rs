@@ -1,6 +1,6 @@
 //! Displacements that are imposed at constant velocities - triangles, ramps, holds. Seen with noise and smoothed, such a motion is round
-//! where it turns and its velocity far off there; straight lines between corners know both. Called when a motion is made of a displacement
-//! alone.
+//! where it turns and its velocity far off there; straight lines between corners know both. Called when a motion is made of a component's
+//! record.
 
 /// A motion of straight parts.
 pub(super) struct Ramps {

@@ -106,12 +106,7 @@ fn table_share(products: &Products) -> Option<Finding> {
                 Fault::Swap(..) => false,
             }
         })
-        .map(|fault| {
-            let problem =
-                if matches!(fault, Fault::Sign(_)) { Problem::WrongSign } else { Problem::WrongUnit };
-            let text = format!("{}: D'' = A - a_table tells", describe(&fault));
-            Finding::new(Severity::Error, problem, Some(CHANNELS[TABLE]), text, told)
-        })
+        .map(|fault| finding(&fault, format!("{}: D'' = A - a_table tells", describe(&fault)), told))
 }
 
 /// The fault that explains a broken relation.
@@ -138,13 +133,17 @@ fn name_fault(products: &Products, worst: f64) -> Finding {
     };
     let others: Vec<String> = candidates[1..].iter().map(|(_, fault)| describe(fault)).collect();
     let or = if others.is_empty() { String::new() } else { format!(" (or: {})", others.join("; ")) };
-    let text = format!("{}{or}: D'' = A - a_table, x'' = a_table tell", describe(fault));
+    finding(fault, format!("{}{or}: D'' = A - a_table, x'' = a_table tell", describe(fault)), worst)
+}
+
+/// A fault that was told, in a sentence and a figure.
+fn finding(fault: &Fault, text: String, figure: f64) -> Finding {
     let (problem, channel) = match *fault {
         Fault::Sign(i) => (Problem::WrongSign, i),
         Fault::Unit(i, _) => (Problem::WrongUnit, i),
         Fault::Swap(i, _) => (Problem::Swapped, i),
     };
-    Finding::new(Severity::Error, problem, Some(CHANNELS[channel]), text, worst)
+    Finding::new(Severity::Error, problem, Some(CHANNELS[channel]), text, figure)
 }
 
 fn describe(fault: &Fault) -> String {
