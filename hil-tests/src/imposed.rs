@@ -18,16 +18,21 @@ pub struct Rig {
     pub stiffness_n_m: f64,
     pub damping_n_s_m: f64,
     pub displacement_noise_m: f64,
+    /// So many of 32 parts of a sample does the sensor of the force come later.
+    pub force_late: usize,
 }
 
 /// Mostly a spring, its displacement known well.
-pub const SPRING: Rig = Rig { stiffness_n_m: 2e5, damping_n_s_m: 3e3, displacement_noise_m: 5e-7 };
+pub const SPRING: Rig =
+    Rig { stiffness_n_m: 2e5, damping_n_s_m: 3e3, displacement_noise_m: 5e-7, force_late: 0 };
 
 /// Mostly a dashpot: the noise of its displacement comes out in the force by way of the velocity.
-pub const DASHPOT: Rig = Rig { stiffness_n_m: 2e4, damping_n_s_m: 2e4, displacement_noise_m: 2e-5 };
+pub const DASHPOT: Rig =
+    Rig { stiffness_n_m: 2e4, damping_n_s_m: 2e4, displacement_noise_m: 2e-5, force_late: 0 };
 
 /// A dashpot that no spring holds back.
-pub const FREE_DASHPOT: Rig = Rig { stiffness_n_m: 0.0, damping_n_s_m: 5e3, displacement_noise_m: 5e-7 };
+pub const FREE_DASHPOT: Rig =
+    Rig { stiffness_n_m: 0.0, damping_n_s_m: 5e3, displacement_noise_m: 5e-7, force_late: 0 };
 
 /// A rig as someone takes it to be, some per cent off.
 pub fn nominal(rig: Rig) -> ModelSpec {
@@ -93,6 +98,23 @@ pub fn growing(rig: Rig, frequency_hz: f64, cycles: f64, amplitude_m: f64, seed:
     out
 }
 
+/// A rig's spring and dashpot with a cubic spring, N/m3, in cycles of four frequencies, each from one sample to the next: its velocity jumps.
+pub fn stepped(rig: Rig, cubic_n_m3: f64, frequencies_hz: [f64; 4], amplitude_m: f64, seed: u64) -> Record {
+    let mut random = Pcg64::seed_from_u64(seed);
+    let mut out = Record::empty("stepped", Kind::Component, RATE_HZ);
+    let mut phase = 0.0_f64;
+    for i in 0..SAMPLES {
+        let w = TAU * frequencies_hz[4 * i / SAMPLES];
+        let (x, v) = (amplitude_m * phase.sin(), amplitude_m * w * phase.cos());
+        out.time_s.push(i as f64 / RATE_HZ);
+        out.displacement_m.push(x + noise(&mut random, rig.displacement_noise_m));
+        let force = rig.stiffness_n_m * x + rig.damping_n_s_m * v + cubic_n_m3 * x.powi(3);
+        out.force_n.push(force + noise(&mut random, 5e-4 * rig.stiffness_n_m * amplitude_m));
+        phase += w / RATE_HZ;
+    }
+    out
+}
+
 /// Waves of 0.2 to 1.8 Hz and some millimetres for a minute, the force of each fine step told by what a component makes of both its ends.
 fn record(name: &str, rig: Rig, seed: u64, mut component: impl FnMut([f64; 2], f64) -> f64) -> Record {
     let mut random = Pcg64::seed_from_u64(seed);
@@ -104,16 +126,19 @@ fn record(name: &str, rig: Rig, seed: u64, mut component: impl FnMut([f64; 2], f
         // It begins at rest.
         t.min(1.0) * 4e-4 * waves.iter().map(|(w, phase)| (w * t + phase).sin()).sum::<f64>()
     };
-    let (mut x, mut force) = (place(0), 0.0);
+    let (mut x, mut late) = (place(0), 0.0);
     let mut out = Record::empty(name, Kind::Component, RATE_HZ);
     for i in 0..SAMPLES {
         out.time_s.push(i as f64 / RATE_HZ);
         out.displacement_m.push(x + noise(&mut random, rig.displacement_noise_m));
-        out.force_n.push(force + noise(&mut random, 1.0));
+        out.force_n.push(late + noise(&mut random, 1.0));
         for j in 1..=FINE {
             let next = place(i * FINE + j);
-            force = component([x, next], h_s);
+            let force = component([x, next], h_s);
             x = next;
+            if j + rig.force_late == FINE {
+                late = force;
+            }
         }
     }
     out

@@ -1,6 +1,9 @@
 //! The diagnosis on components of other rigs: a displacement imposed, a force measured.
 
-use hil_tests::imposed::{DASHPOT, FREE_DASHPOT, Rig, SPRING, friction, growing, hysteresis, joint, nominal};
+use hil_tests::imposed::{
+    DASHPOT, FREE_DASHPOT, Rig, SPRING, friction, growing, hysteresis, joint, nominal, stepped,
+};
+use shaketable::compare::compare;
 use shaketable::diagnose::adding::add;
 use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose};
 use shaketable::model::{EffectSpec, ModelSpec};
@@ -75,7 +78,8 @@ fn a_motion_of_one_frequency_that_grows_shows_no_memory() {
     // A low-pass close above that frequency, or noise that it let through, was made up for by a Maxwell branch or a springpot in 9 of 12.
     let rigs = [(2e4, 400.0, 1.7, 20.0, 1.5e-3), (8e5, 3e4, 1.2, 12.0, 9e-3), (8e4, 3e3, 0.6, 30.0, 5e-3)];
     for ((stiffness_n_m, damping_n_s_m, hz, cycles, amplitude_m), seed) in rigs.into_iter().zip(1..) {
-        let rig = Rig { stiffness_n_m, damping_n_s_m, displacement_noise_m: 1.5e-3 * amplitude_m };
+        let rig =
+            Rig { stiffness_n_m, damping_n_s_m, displacement_noise_m: 1.5e-3 * amplitude_m, force_late: 0 };
         let record = growing(rig, hz, cycles, amplitude_m, seed);
         let found = diagnose(&record, &nominal(rig), &Options::default()).expect("a sound record");
         assert_eq!(found.verdict, Verdict::Adequate, "{:?} {:?}", found.effects, found.refused);
@@ -86,6 +90,51 @@ fn a_motion_of_one_frequency_that_grows_shows_no_memory() {
             assert!((told.value - truth).abs() < told.high95 - told.low95, "{key}: {told:?}");
         }
     }
+}
+
+#[test]
+fn a_force_that_comes_late_is_put_on_time() {
+    // Half a sample was made up for by a Maxwell branch and a quadratic damping.
+    let late = Rig { force_late: 16, ..SPRING };
+    let is_said = |found: &Diagnosis| {
+        let note = found.notes.iter().find(|note| note.starts_with("the force comes"));
+        let us = note.and_then(|note| note.split(' ').nth(3)?.parse::<f64>().ok());
+        us.is_some_and(|us| (us - 2000.0).abs() < 100.0)
+    };
+    let shape = [("kh_n_m", 2e5), ("dy_m", 1.4e-3), ("n", 1.3), ("gamma", 0.35)];
+    let record = hysteresis(late, shape.map(|(_, value)| value), 11);
+    let found = found(&record, late, "bouc-wen-hysteresis");
+    assert!(is_said(&found), "{:?}", found.notes);
+    for (name, truth) in shape {
+        let told = &found.effects[0].parameters[name];
+        assert!((told.value / truth - 1.0).abs() < 0.02, "{name}: {told:?}");
+    }
+    assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+    // What is added to a model is fitted so, too.
+    let start = [("kh_n_m", 5e4), ("dy_m", 3e-3)].map(|(name, value)| (name.to_owned(), value));
+    let given = EffectSpec { name: "bouc-wen-hysteresis".into(), expression: None, parameters: start.into() };
+    let added = add(&record, &nominal(late), &given, &[]).expect("fits");
+    let after = added.error_after.expect("known");
+    assert!((after / found.error_after - 1.0).abs() < 0.01, "{after} {}", found.error_after);
+    let comes_late = |note: &String| note.starts_with("the force comes") && note.contains("later");
+    assert!(added.notes.iter().any(comes_late), "{:?}", added.notes);
+    // With the right model a comparison says so.
+    let compared = compare(&record, &added.model).expect("a sound record");
+    assert!(compared.notes.iter().any(comes_late), "{:?}", compared.notes);
+}
+
+#[test]
+fn a_velocity_that_jumps_from_step_to_step_is_no_memory() {
+    // Corners of the displacement were taken for a band as wide as theirs: all of its noise came out in the velocity.
+    let rig = Rig { stiffness_n_m: 2e5, damping_n_s_m: 1.5e4, displacement_noise_m: 1.5e-6, force_late: 0 };
+    let hz = [0.9, 1.3, 0.6, 1.7];
+    let healthy = diagnose(&stepped(rig, 0.0, hz, 3e-3, 1), &nominal(rig), &Options::default());
+    let healthy = healthy.expect("a sound record");
+    assert_eq!(healthy.verdict, Verdict::Adequate, "{:?} {:?}", healthy.effects, healthy.refused);
+    let found = found(&stepped(rig, 3e9, hz, 3e-3, 2), rig, "cubic-stiffness");
+    let told = &found.effects[0].parameters["k3_n_m3"];
+    assert!((told.value / 3e9 - 1.0).abs() < 0.01, "{told:?}");
+    assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
 }
 
 #[test]

@@ -247,8 +247,8 @@ fn judge(record: &Record, spec: &ModelSpec) -> Result<Comparison, CompareError> 
         measured.mass_kg,
         hissing.map(|other| account::propagated(&windows, &channels, &other)),
     );
-    if record.kind == Kind::Force && held {
-        notes.extend(late(&error, lag::of_force(&windows, &channels, rate)));
+    if record.kind != Kind::Base && held {
+        notes.extend(late(record.kind, &error, lag::of_force(&windows, &channels, rate)));
     }
     if record.kind != Kind::Component {
         error.nrmse_force = force.as_ref().and_then(|force| slices::nrmse(force.cells.total().force));
@@ -283,18 +283,23 @@ fn judge(record: &Record, spec: &ModelSpec) -> Result<Comparison, CompareError> 
     })
 }
 
-/// What is to be said of a lag of the applied force, with which so much would be left of A and D.
-fn late(error: &Error, lag: Option<(f64, [Option<f64>; 2])>) -> Option<String> {
+/// What is to be said of a lag of a force, with which so much would be left of A and D, or of a component's force.
+fn late(kind: Kind, error: &Error, lag: Option<(f64, [Option<f64>; 2])>) -> Option<String> {
     let (late_s, [a, d]) = lag?;
     let floors = [(a, error.noise_floor_a, error.nrmse_a), (d, error.noise_floor_d, error.nrmse_d)];
     let stands_out =
         |(_, floor, now): &(_, Option<f64>, Option<f64>)| now > &floor.map(|floor| OUTSTANDING * floor);
+    let [what, than, of_a] = match kind {
+        Kind::Component => ["the force", "the displacement that it takes", "it"],
+        Kind::Base | Kind::Force => ["what answers the force", "it says", "A"],
+    };
     floors.iter().any(stands_out).then(|| {
         let sense = if late_s > 0.0 { "later" } else { "earlier" };
-        let left = [("A", a), ("D", d)].map(|(name, left)| left.map(|left| format!(" {:.3} % of {name}", 100.0 * left)));
+        let left = [(of_a, a), ("D", d)]
+            .map(|(name, left)| left.map(|left| format!(" {:.3} % of {name}", 100.0 * left)));
         let left: Vec<String> = left.into_iter().flatten().collect();
         format!(
-            "what answers the force comes {:.0} us {sense} than it says: with that taken back{} would be left",
+            "{what} comes {:.0} us {sense} than {than}: with that taken back{} would be left",
             1e6 * late_s.abs(),
             left.join(" and")
         )

@@ -3,11 +3,12 @@
 //! errors over.
 
 use super::instruments::{self, Estimate95, Finding};
+use super::late_force::{self, Lagging};
 use super::out_there::out_there;
 use super::search::{Effort, Searcher};
 use super::thresholds::Thresholds;
 use super::trial::{self, Trial};
-use super::{candidates, verdict};
+use super::{candidates, late, verdict};
 use crate::identify::kinematics::Tolerances;
 use crate::identify::least_squares::Settings;
 use crate::identify::motion::{Motion, MotionError};
@@ -94,7 +95,18 @@ pub fn add(
     }
     let record = &*readied(record);
     let motion = Motion::of(record, nominal.mass_kg, Tolerances::default())?;
-    let searcher = Searcher::new(&motion, nominal, Effort::default()).only(effect);
+    add_along(record, &motion, (nominal, given, fixed_start), true)
+}
+
+/// The same along a motion of the record; where it is a component's, it may be put on time.
+fn add_along(
+    record: &Record,
+    motion: &Motion,
+    (nominal, given, fixed_start): (&ModelSpec, &EffectSpec, &[&str]),
+    may_lag: bool,
+) -> Result<Added, AddError> {
+    let effect = effects::find(&given.name)?;
+    let searcher = Searcher::new(motion, nominal, Effort::default()).only(effect);
     let base = searcher.base(nominal).ok_or(AddError::NoResponse { with: "as it is" })?;
     let errors = |problem: &Problem<'_>, re_fitted: Option<Vec<(usize, OutputError)>>| {
         let given = problem.output_error(nominal, 0.0, Part::HeldOut);
@@ -110,20 +122,27 @@ pub fn add(
     } else {
         let trial = fitted(&searcher, nominal, &base, given, fixed_start)
             .ok_or(AddError::NoResponse { with: "with the effect" })?;
+        let lagging = may_lag.then(|| late_force::lag(&searcher, nominal, &trial, Thresholds::default()));
+        if let Some(lagging) = lagging.flatten().filter(Lagging::is_told) {
+            let on_time = late_force::on_time(motion, &lagging);
+            let mut added = add_along(record, &on_time, (nominal, given, fixed_start), false)?;
+            added.notes.push(late::said_of_component(lagging.late_s));
+            return Ok(added);
+        }
         (
             searcher.bounded(searcher.heard_by_itself(trial)),
             None,
             errors(searcher.problem(), searcher.errors(&base)),
         )
     };
-    let trial = out_there(record, &motion, nominal, trial);
+    let trial = out_there(record, motion, nominal, trial);
     let after = searcher.held_out_error(&trial);
     let mut added = Added {
-        parameters: trial.refit.fitted(&started(nominal, given, &candidates::scales(nominal, &motion))),
+        parameters: trial.refit.fitted(&started(nominal, given, &candidates::scales(nominal, motion))),
         error_before,
         error_reidentified,
         error_after: after.map(|e| e.nrmse()),
-        noise_floor: after.map(|e| e.noise_floor(&motion)),
+        noise_floor: after.map(|e| e.noise_floor(motion)),
         model: trial.refit.spec,
         notes: record.notes.clone(),
     };

@@ -2,6 +2,7 @@
 
 use super::answer::Composer;
 use super::instruments::{self, Finding};
+use super::late_force::{self, Lagging};
 use super::report::Diagnosis;
 use super::search::{Effort, Searcher};
 use super::thresholds::Thresholds;
@@ -13,9 +14,9 @@ use crate::identify::motion::{Motion, MotionError};
 use crate::identify::together::{Setting, TogetherError};
 use crate::identify::{force_on_time, in_its_band};
 use crate::model::{ModelError, ModelSpec};
-use crate::record::Record;
 use crate::record::mended::mended;
 use crate::record::quality::Severity;
+use crate::record::{Kind, Record};
 use std::time::Instant;
 
 /// How a diagnosis is done.
@@ -186,8 +187,25 @@ fn of_motion(
     {
         return again.put_on_time(tests, options, &lags);
     }
-    let search = searcher.search(base, options.thresholds);
+    // A component's force is put on time once.
+    let first =
+        (motion.kind == Kind::Component && !is_moved && again.on_time > 0).then(|| searcher.stage(&base));
+    let lagging = first
+        .as_ref()
+        .and_then(|first| late_force::of_component(&searcher, nominal, (&base, first), options.thresholds));
+    let put_on_time = |lagging: &Lagging, mut notes: Vec<String>, findings| {
+        notes.push(late::said_of_component(lagging.late_s));
+        let again = Again { on_time: 0, noise: QUIETER, ..again };
+        of_motion((tests, nominal), options, late_force::on_time(&motion, lagging), (findings, notes), again)
+    };
+    if let Some(lagging) = lagging.as_ref().filter(|lagging| lagging.explains()) {
+        return put_on_time(lagging, notes, findings);
+    }
+    let search = searcher.search_from(base, first, options.thresholds);
     let mut decision = verdict::decide(&search, &searcher, options.thresholds);
+    if let Some(lagging) = lagging.filter(|lagging| lagging.is_rather_than(&decision.chosen)) {
+        return put_on_time(&lagging, notes, findings);
+    }
     let less = Again { noise: again.noise.saturating_sub(1), ..again };
     if again.noise > 0
         && let Some((steadier, drift)) = searcher.steadier(search.best())
@@ -239,7 +257,7 @@ fn of_record(record: &Record, model: &ModelSpec, anyway: bool) -> Result<Vec<Str
 mod tests {
     use super::*;
     use crate::model::testing::oscillator;
-    use crate::record::Kind;
+
     use rand::{SeedableRng, prelude::Distribution};
 
     #[test]

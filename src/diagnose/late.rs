@@ -38,6 +38,12 @@ pub(super) fn taken_back(late_s: &[f64], dt_s: f64) -> Vec<String> {
     late_s.iter().enumerate().filter(beyond).map(told).collect()
 }
 
+/// What is to be said of a component's force that came so much later (s) than the motion that it takes, and was put on time.
+pub(super) fn said_of_component(late_s: f64) -> String {
+    let (us, sense) = (1e6 * late_s.abs(), sense(late_s));
+    format!("the force comes {us:.0} us {sense} than the displacement that it takes: taken back")
+}
+
 /// What is to be said of those that are late still.
 pub(super) fn said(searcher: &Searcher<'_>, chosen: &Trial) -> Vec<String> {
     let lags = lags_s(searcher, chosen, SPOKEN_OF);

@@ -12,6 +12,7 @@ pub mod engine;
 mod errors;
 pub mod instruments;
 mod late;
+mod late_force;
 mod likeness;
 pub mod live;
 pub mod missing_force;

@@ -385,10 +385,15 @@ impl<'a> Searcher<'a> {
 
     /// Adds effects one at a time for as long as a good part of the excess is left and falls.
     pub fn search(&self, base: Trial, thresholds: Thresholds) -> Search {
+        self.search_from(base, None, thresholds)
+    }
+
+    /// The same where the first stage has been tried.
+    pub(super) fn search_from(&self, base: Trial, first: Option<Stage>, thresholds: Thresholds) -> Search {
         // A component's force is compared along an imposed motion: nothing but its gain ends the search.
         let component = self.motion.kind == Kind::Component;
         let enough = if component { 0.0 } else { 0.5 * thresholds.left };
-        let mut search = Search { base, stages: Vec::new() };
+        let (mut first, mut search) = (first, Search { base, stages: Vec::new() });
         // Beyond a pair the response explains anything.
         let together =
             if search.base.response.is_some() { self.effort.together.min(2) } else { self.effort.together };
@@ -407,7 +412,7 @@ impl<'a> Searcher<'a> {
             if depth > 0 && verdict::leaves_noise(self, &from, thresholds) {
                 break;
             }
-            let mut stage = self.stage(&from);
+            let mut stage = first.take().unwrap_or_else(|| self.stage(&from));
             // Of a second stage only where it brings anything: what it goes on from may have stopped short.
             let asked = depth == 0 || stage.finalists.iter().any(|t| verdict::brings(t, &from, thresholds));
             if let Some(better) = if asked { self.better_placed(&stage, &from) } else { None } {

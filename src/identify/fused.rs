@@ -2,7 +2,7 @@
 //! integrated with zero phase, each with its noise. Called when a motion is made ready, and by the kinematics.
 
 use super::motion::Motion;
-use super::ramps::{self, Ramps};
+use super::ramps::Ramps;
 use super::together::Source;
 use crate::parallel;
 use crate::record::Record;
@@ -14,22 +14,24 @@ use std::f64::consts::PI;
 const FADES_OVER: f64 = 0.6;
 /// Bins that are looked at together at least: of noise alone, four stand above four times their mean once in ten thousand.
 const LEAST_BINS: usize = 16;
-
 /// Displacement and its derivatives with their noise.
 pub(super) struct Fused {
     pub(super) displacement_m: Vec<f64>,
-    velocity_m_s: Vec<f64>,
+    pub(super) velocity_m_s: Vec<f64>,
     pub(super) acceleration_m_s2: Vec<f64>,
-    displacement_noise_m: f64,
-    velocity_noise_m_s: f64,
+    pub(super) displacement_noise_m: f64,
+    pub(super) velocity_noise_m_s: f64,
     pub(super) acceleration_noise_m_s2: f64,
+    /// Whether each sample of the velocity is told, of what is imposed; else nothing.
+    pub(super) velocity_is_told: Vec<bool>,
 }
 
 impl Fused {
     /// Of a motion at constant velocities: nothing is known of the accelerations where it turns.
-    fn of_ramps(ramps: Ramps) -> Self {
+    pub(super) fn of_ramps(ramps: Ramps) -> Self {
         Self {
             acceleration_m_s2: vec![0.0; ramps.displacement_m.len()],
+            velocity_is_told: vec![true; ramps.displacement_m.len()],
             acceleration_noise_m_s2: 0.0,
             displacement_m: ramps.displacement_m,
             velocity_m_s: ramps.velocity_m_s,
@@ -49,6 +51,7 @@ impl Fused {
             }],
             displacement_m: self.displacement_m,
             velocity_m_s: self.velocity_m_s,
+            velocity_is_told: self.velocity_is_told,
             restoring_m_s2: Vec::new(),
             drive_m_s2: Vec::new(),
             seen_drive_m_s2: Vec::new(),
@@ -84,22 +87,23 @@ pub(super) fn fuse(displacement: &[f64], sd: f64, acceleration: &[f64], sa: f64,
 /// Displacement alone: low-passed above where its noise reaches the signal, then differentiated. What is below is left as it is: a gain that
 /// falls along a narrow band makes a growing motion one of other amplitudes, as a memory would.
 pub(super) fn differentiate(displacement: &[f64], sd: f64, rate: f64) -> Fused {
-    let spectrum = Spectrum::of(displacement, rate);
-    // What joins the ends beyond the record has corners of its own.
-    let cut = signal_end_rad_s(&Spectrum::eased(displacement, rate), sd);
-    let low = move |w: f64| {
-        let beyond = ((w / cut - 1.0) / FADES_OVER).clamp(0.0, 1.0);
-        (0.5 * PI * beyond).cos().powi(2)
-    };
-    derivatives(&spectrum.multiply(|w| Complex64::from(low(w))), |w| (sd * low(w)).powi(2))
+    differentiated(&Spectrum::of(displacement, rate), cut_rad_s(displacement, sd, rate), sd)
 }
 
-/// A displacement that is imposed: along its ramps where it has any, else as any.
-pub(super) fn imposed(displacement: &[f64], sd: f64, rate: f64) -> Fused {
-    match ramps::examine(displacement, sd, rate) {
-        Some(ramps) => Fused::of_ramps(ramps),
-        None => differentiate(displacement, sd, rate),
-    }
+/// Angular frequency above which a displacement is low-passed. What joins the ends beyond the record has corners of its own.
+pub(super) fn cut_rad_s(displacement: &[f64], sd: f64, rate: f64) -> f64 {
+    signal_end_rad_s(&Spectrum::eased(displacement, rate), sd)
+}
+
+/// What passes a low-pass that begins at a frequency.
+pub(super) fn passes(w: f64, cut: f64) -> f64 {
+    let beyond = ((w / cut - 1.0) / FADES_OVER).clamp(0.0, 1.0);
+    (0.5 * PI * beyond).cos().powi(2)
+}
+
+pub(super) fn differentiated(spectrum: &Spectrum, cut: f64, sd: f64) -> Fused {
+    let low = move |w: f64| passes(w, cut);
+    derivatives(&spectrum.clone().multiply(|w| Complex64::from(low(w))), |w| (sd * low(w)).powi(2))
 }
 
 /// Acceleration alone: integrated above 0.3 of the frequency below which a hundredth of its power lies.
@@ -141,6 +145,7 @@ fn derivatives(spectrum: &Spectrum, density: impl Fn(f64) -> f64 + Sync) -> Fuse
         displacement_noise_m: displacement.1,
         velocity_noise_m_s: velocity.1,
         acceleration_noise_m_s2: acceleration.1,
+        velocity_is_told: Vec::new(),
     }
 }
 
@@ -148,13 +153,9 @@ fn derivatives(spectrum: &Spectrum, density: impl Fn(f64) -> f64 + Sync) -> Fuse
 fn signal_end_rad_s(spectrum: &Spectrum, noise: f64) -> f64 {
     let floor = 4.0 * spectrum.white_noise_power(noise);
     let width = (spectrum.bins.len() / 400).max(LEAST_BINS);
-    let mut end = width;
-    for (i, chunk) in spectrum.bins.chunks(width).enumerate() {
-        let mean = chunk.iter().map(|z| z.norm_sqr()).sum::<f64>() / chunk.len() as f64;
-        if mean > floor {
-            end = (i + 1) * width;
-        }
-    }
+    let above =
+        |chunk: &[Complex64]| chunk.iter().map(|z| z.norm_sqr()).sum::<f64>() > floor * chunk.len() as f64;
+    let end = spectrum.bins.chunks(width).rposition(above).map_or(width, |i| (i + 1) * width);
     spectrum.omega_rad_s(end.min(spectrum.bins.len() - 1)).max(spectrum.omega_rad_s(1))
 }
 

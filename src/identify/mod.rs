@@ -5,6 +5,7 @@ mod base;
 mod component;
 mod filtered;
 mod fused;
+mod imposed;
 mod jumpless;
 pub mod kinematics;
 pub mod least_squares;
@@ -24,6 +25,7 @@ mod weighing;
 mod windows;
 
 pub use applied::{applied_noise, force_on_time};
+pub use component::answered;
 pub use jumpless::noise_of_whole_beside_jumps;
 
 use crate::record::{Record, mended::mended};

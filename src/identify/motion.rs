@@ -87,6 +87,9 @@ pub struct Motion {
     pub displacement_m: Vec<f64>,
     /// Its rate, m/s.
     pub velocity_m_s: Vec<f64>,
+    /// Whether each sample of that is told, of the motion that is imposed on a component: not beside corners that its noise hides. Empty for the
+    /// other kinds.
+    pub(super) velocity_is_told: Vec<bool>,
     /// Restoring force over the mass, m/s2. Opposes positive motion.
     pub restoring_m_s2: Vec<f64>,
     /// What drives a simulation: the table acceleration that is equivalent to the input, m/s2.

@@ -30,6 +30,7 @@ pub mod system;
 pub(crate) mod testing;
 
 pub use error::ModelError;
+pub(crate) use observe::hermite;
 pub use observe::{Observation, Observer};
 pub use scales::Scales;
 pub use sensitivity::{Sensitivity, simulate_with_sensitivities};

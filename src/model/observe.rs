@@ -114,7 +114,7 @@ impl Observer {
 }
 
 /// Cubic through two values and their slopes (per interval), at a part of the interval.
-pub(super) fn hermite(y0: f64, s0: f64, y1: f64, s1: f64, part: f64) -> f64 {
+pub(crate) fn hermite(y0: f64, s0: f64, y1: f64, s1: f64, part: f64) -> f64 {
     let (u, w) = (part, 1.0 - part);
     y0 * (1.0 + 2.0 * u) * w * w + s0 * u * w * w + y1 * u * u * (3.0 - 2.0 * u) - s1 * u * u * w
 }

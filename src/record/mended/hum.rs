@@ -109,18 +109,28 @@ fn line(channel: &[f64], input: &[f64], rate_hz: f64, near_hz: f64) -> Option<Li
         part * length..end
     };
     let loudest = LOUDEST * rms_about_mean(channel);
-    let tones: Vec<Tone> = (0..parts)
-        .filter_map(|part| {
-            let range = bounds(part);
-            let piece = &channel[range.clone()];
-            let tone = tone(piece, block, rate_hz, near_hz)?;
-            let hum = tone.phasor.norm() < loudest
-                && !is_imposed(tone.frequency_hz, input.get(range.clone())?, rate_hz)
-                && stands_out(tone.frequency_hz, piece, rate_hz);
-            hum.then_some(Tone { samples: range, ..tone })
-        })
-        .collect();
-    (tones.len() as f64 >= IN_PARTS * parts as f64).then_some(Line { parts: tones })
+    let mut without = 0;
+    let mut tones = Vec::with_capacity(parts);
+    for part in 0..parts {
+        let range = bounds(part);
+        let piece = &channel[range.clone()];
+        let hum = tone(piece, block, rate_hz, near_hz).filter(|tone| {
+            tone.phasor.norm() < loudest
+                && input
+                    .get(range.clone())
+                    .is_some_and(|input| !is_imposed(tone.frequency_hz, input, rate_hz))
+                && stands_out(tone.frequency_hz, piece, rate_hz)
+        });
+        match hum {
+            Some(tone) => tones.push(Tone { samples: range, ..tone }),
+            None => without += 1,
+        }
+        // Most channels have none: a few parts tell.
+        if ((parts - without) as f64) < IN_PARTS * parts as f64 {
+            return None;
+        }
+    }
+    Some(Line { parts: tones })
 }
 
 /// A frequency is in a piece of what was imposed, or a multiple of that of its tone, as well as the piece tells.
@@ -177,8 +187,11 @@ fn tone(x: &[f64], block: usize, rate_hz: f64, near_hz: f64) -> Option<Tone> {
         }
     }
     let centre_s = |b: usize| (b * hop + hop) as f64 / rate_hz;
+    // Centres of blocks are a hop apart.
     let turned = |off_hz: f64, blocks: Range<usize>| -> Complex64 {
-        blocks.map(|b| sums[b] * Complex64::from_polar(1.0, -TAU * off_hz * centre_s(b))).sum()
+        let turn = Complex64::from_polar(1.0, -TAU * off_hz * hop as f64 / rate_hz);
+        let first = Complex64::from_polar(1.0, -TAU * off_hz * centre_s(blocks.start));
+        sums[blocks].iter().fold((Complex64::ZERO, first), |(all, now), sum| (all + sum * now, now * turn)).0
     };
     let seconds = x.len() as f64 / rate_hz;
     let best_of = |middle_hz: f64, wide_hz: f64, step_hz: f64| {
