@@ -6,7 +6,7 @@ use hil_tests::imposed::{
 use shaketable::compare::compare;
 use shaketable::diagnose::adding::add;
 use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose};
-use shaketable::model::{EffectSpec, ModelSpec};
+use shaketable::model::{EffectSpec, IsolatorUncertainty, ModelSpec, Uncertainty};
 use shaketable::record::Record;
 
 /// What is found where one effect is missing.
@@ -30,6 +30,51 @@ fn the_shape_of_a_hysteresis_is_told_and_nothing_makes_up_for_it() {
         assert!((told.value / truth - 1.0).abs() < 0.02, "{name}: {told:?}");
     }
     assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+}
+
+#[test]
+fn the_shape_of_a_hysteresis_is_told_beside_a_force_that_hid_it() {
+    // It was fitted without the offset, and left as it was.
+    let shape = [("kh_n_m", 2e5), ("dy_m", 1.4e-3), ("n", 2.0), ("gamma", 0.5)];
+    let mut record = hysteresis(SPRING, shape.map(|(_, value)| value), 12);
+    let rms = (record.force_n.iter().map(|f| f * f).sum::<f64>() / record.force_n.len() as f64).sqrt();
+    record.force_n.iter_mut().for_each(|f| *f += 0.5 * rms);
+    let found = diagnose(&record, &nominal(SPRING), &Options::default()).expect("a sound record");
+    let mut named = hil_tests::named(&found);
+    named.sort_unstable();
+    assert_eq!(named, ["bouc-wen-hysteresis", "constant-force"], "{:?}", found.refused);
+    let hysteresis = found.effects.iter().find(|effect| effect.name == "bouc-wen-hysteresis").expect("named");
+    for (name, truth) in shape {
+        let told = &hysteresis.parameters[name];
+        assert!((told.value / truth - 1.0).abs() < 0.02, "{name}: {told:?}");
+    }
+    assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+}
+
+#[test]
+fn a_guess_of_half_of_what_is_there_is_no_missing_effect() {
+    // A number could not become more than 1.95 times what was given, and effects stood in for the rest.
+    let uncertainty = Uncertainty {
+        isolator: Some(IsolatorUncertainty {
+            stiffness_n_m: vec![1.0],
+            damping_n_s_m: Some(1.0),
+            ..IsolatorUncertainty::default()
+        }),
+        ..Uncertainty::default()
+    };
+    let mut guess = ModelSpec { uncertainty: Some(uncertainty), ..nominal(SPRING) };
+    guess.isolator.stiffness_n_m[0] *= 0.4;
+    guess.isolator.damping_n_s_m *= 0.3;
+    let record = friction(SPRING, 0.0, 13);
+    let found = diagnose(&record, &guess, &Options::default()).expect("a sound record");
+    assert_eq!(found.verdict, Verdict::Adequate, "{:?} {:?}", found.effects, found.refused);
+    for (key, truth) in [
+        ("isolator.stiffness_n_m[0]", SPRING.stiffness_n_m),
+        ("isolator.damping_n_s_m", SPRING.damping_n_s_m),
+    ] {
+        let told = found.reidentified.iter().find(|number| number.key == key).expect("identified");
+        assert!((told.value / truth - 1.0).abs() < 0.01, "{key}: {told:?}");
+    }
 }
 
 #[test]

@@ -131,6 +131,8 @@ fn of_records(
 /// So many times at most a force is put on time, and where that is left to what explains the record.
 const ON_TIME: usize = 4;
 const BY_EXPLANATION: usize = 1;
+/// Error over the noise floor of a component whose force was put on time, at most, where noise was all that was left with that.
+const KEPT: f64 = 1.5;
 /// So many times at most the noise is taken to be what a diagnosis leaves, or a drift taken out.
 const QUIETER: usize = 2;
 
@@ -193,18 +195,26 @@ fn of_motion(
     let lagging = first
         .as_ref()
         .and_then(|first| late_force::of_component(&searcher, nominal, (&base, first), options.thresholds));
-    let put_on_time = |lagging: &Lagging, mut notes: Vec<String>, findings| {
-        notes.push(late::said_of_component(lagging.late_s));
+    let put_on_time = |lagging: &Lagging| {
+        let notes = [notes.clone(), vec![late::said_of_component(lagging.late_s)]].concat();
         let again = Again { on_time: 0, noise: QUIETER, ..again };
-        of_motion((tests, nominal), options, late_force::on_time(&motion, lagging), (findings, notes), again)
+        let motion = late_force::on_time(&motion, lagging);
+        of_motion((tests, nominal), options, motion, (findings.clone(), notes), again)
     };
     if let Some(lagging) = lagging.as_ref().filter(|lagging| lagging.explains()) {
-        return put_on_time(lagging, notes, findings);
+        let prompt = put_on_time(lagging)?;
+        if prompt.error_after < KEPT * prompt.noise_floor {
+            return Ok(prompt);
+        }
     }
     let search = searcher.search_from(base, first, options.thresholds);
     let mut decision = verdict::decide(&search, &searcher, options.thresholds);
     if let Some(lagging) = lagging.filter(|lagging| lagging.is_rather_than(&decision.chosen)) {
-        return put_on_time(&lagging, notes, findings);
+        let prompt = put_on_time(&lagging)?;
+        let before = searcher.held_out_error(&decision.chosen).map(|error| error.nrmse());
+        if before.is_none_or(|before| prompt.error_after < before) {
+            return Ok(prompt);
+        }
     }
     let less = Again { noise: again.noise.saturating_sub(1), ..again };
     if again.noise > 0

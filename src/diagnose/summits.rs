@@ -11,7 +11,7 @@ use crate::identify::least_squares::Settings;
 use crate::identify::refit::Refit;
 use crate::identify::response::{Measured, Until};
 use crate::model::effects::coulomb_friction::TURNING;
-use crate::model::{EffectSpec, ModelSpec, Scales, effects};
+use crate::model::{ModelSpec, Scales, effects};
 use crate::parallel;
 use crate::record::Kind;
 
@@ -59,9 +59,16 @@ impl Searcher<'_> {
     pub(super) fn shape_by_force(&self, finalists: &mut Vec<Trial>, scales: &Scales) {
         self.turning_by_force(finalists, scales);
         let reshaped = |trial: &Trial| -> Option<Trial> {
-            let shaped = with_shape(trial, scales)?;
-            let shaped = self.fitted_by_force(&shaped)?;
-            (verdict::apart(&shaped, trial) > WORTH).then_some(shaped)
+            let mut best: Option<Trial> = None;
+            let effects = trial.refit.spec.effects.len();
+            // What an effect was shaped like without those that came after it may have been astray.
+            for index in (effects.saturating_sub(trial.names.len().max(1))..effects).rev() {
+                let from = best.as_ref().unwrap_or(trial);
+                let shaped =
+                    with_shape_of(from, index, scales).and_then(|shaped| self.fitted_by_force(&shaped));
+                best = shaped.filter(|shaped| verdict::apart(shaped, from) > WORTH).or(best);
+            }
+            best
         };
         replace_where_told(finalists, reshaped);
     }
@@ -262,29 +269,40 @@ fn with_last(from: &Trial, spec: ModelSpec, scales: &Scales) -> Option<Trial> {
     let index = spec.effects.len().checked_sub(1)?;
     let mut trial = from.clone();
     trial.names.last_mut()?.clone_from(&spec.effects[index].name);
+    Some(with_effect(trial, spec, index, scales))
+}
+
+/// The same of the numbers of one of its effects.
+fn with_effect(mut trial: Trial, spec: ModelSpec, index: usize, scales: &Scales) -> Trial {
     let own = format!("effect[{index}].");
     trial.refit.numbers.retain(|key| !key.starts_with(&own));
     trial.refit.numbers.add_effect(&spec, index, scales);
     trial.refit.spec = spec;
-    Some(trial)
+    trial
 }
 
 /// A trial in which the shape of its last effect is fitted, too; none where it has none.
 fn with_shape(trial: &Trial, scales: &Scales) -> Option<Trial> {
-    let shapes = candidates::shapes(&verdict::last_name(trial));
+    with_shape_of(trial, trial.refit.spec.effects.len().checked_sub(1)?, scales)
+}
+
+/// The same of one of its effects; none where it was fitted before another came.
+fn with_shape_of(trial: &Trial, index: usize, scales: &Scales) -> Option<Trial> {
+    let mut spec = trial.refit.spec.clone();
+    let is_last = index + 1 == spec.effects.len();
+    let of = spec.effects.get_mut(index)?;
+    let shapes = candidates::shapes(&of.name);
+    let is_fitted = !is_last && shapes.iter().all(|shape| of.parameters.contains_key(shape.name));
     // One whose loading shape is fitted has its own already; sharper, it would grow without bounds.
-    let fitted = |last: &EffectSpec| last.parameters.contains_key("beta");
-    if shapes.is_empty() || trial.refit.spec.effects.last().is_some_and(fitted) {
+    if shapes.is_empty() || of.parameters.contains_key("beta") || is_fitted {
         return None;
     }
-    let mut spec = trial.refit.spec.clone();
-    let index = spec.effects.len() - 1;
-    let effect = effects::find(&spec.effects[index].name).ok()?;
+    let effect = effects::find(&of.name).ok()?;
     for shape in shapes {
         let default = (effect.parameters)(scales).iter().find(|p| p.name == shape.name)?.default?;
-        spec.effects[index].parameters.entry(shape.name.to_owned()).or_insert(default);
+        of.parameters.entry(shape.name.to_owned()).or_insert(default);
     }
-    let mut shaped = with_last(trial, spec, scales)?;
+    let mut shaped = with_effect(trial.clone(), spec, index, scales);
     for Shape { name, limits: (low, high), .. } in shapes {
         let key = format!("effect[{index}].{name}");
         let Refit { numbers, .. } = &mut shaped.refit;
@@ -319,6 +337,7 @@ mod tests {
     use crate::diagnose::{Options, Verdict, diagnose};
     use crate::identify::kinematics::Tolerances;
     use crate::identify::motion::Motion;
+    use crate::model::EffectSpec;
     use crate::model::testing::{b1_g2, effect};
     use crate::record::Record;
 

@@ -326,7 +326,7 @@ fn leading(trial: &Trial) -> Option<usize> {
 /// Share of its deviation below which a strength is none.
 const NOTHING: f64 = 0.01;
 /// Mean square of the force of a component without an effect over that with it, at least, where the interval of its strength does not exclude
-/// none: what is made of the motion between samples takes some per cent of the noise away.
+/// none: what is made of the motion between samples takes some per cent of the noise away. Beside another effect that is never enough.
 const TAKES: f64 = 1.1;
 
 /// The interval of the leading parameter of the added effect excludes zero (how fast a stiffness falls that does not fall may be known
@@ -338,7 +338,10 @@ fn excludes_zero(trial: &Trial, from: &Trial) -> bool {
         !number.logarithmic && value.abs() > NOTHING * sigma
     };
     let brings = || trial.training_gain(from) > 0.5 * told_by(trial).powi(2);
-    let takes = || trial.response.is_some() || from.force.mean() > TAKES * trial.force.mean();
+    let takes = || {
+        let alone = from.names.is_empty();
+        trial.response.is_some() || alone && from.force.mean() > TAKES * trial.force.mean()
+    };
     is_there(trial) || strength(trial).is_some_and(is_linear) && brings() && takes()
 }
 

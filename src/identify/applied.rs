@@ -47,7 +47,7 @@ pub(super) fn motion(
         None => [(Estimate::default(), 1.0); 2],
     };
     let corrected = |seen: &[f64], (late, gain): (Estimate, f64)| -> Vec<f64> {
-        on_time(seen, late, rate).into_iter().map(|x| x / gain).collect()
+        on_time(seen, late, noise(seen), rate).into_iter().map(|x| x / gain).collect()
     };
     let displacement = displacement.map(|seen| corrected(seen, of_displacement));
     let acceleration = acceleration.map(|seen| corrected(seen, of_acceleration));

@@ -18,7 +18,7 @@ pub(super) fn motion(record: &Record, found: Option<Instruments>) -> Result<Moti
     let [a1, a2] = i.accelerometers;
     let late = i.accelerometers_late_s();
     let of_mass = |channel: &[f64], a: Accelerometer| -> Vec<f64> {
-        let both = on_time(channel, late, rate).into_iter().zip(table);
+        let both = on_time(channel, late, a.noise_m_s2, rate).into_iter().zip(table);
         both.map(|(seen, table)| (seen - a.leak.value * table) / a.gain.value).collect()
     };
     // A channel's noise is scaled along with it.
@@ -36,7 +36,10 @@ pub(super) fn motion(record: &Record, found: Option<Instruments>) -> Result<Moti
         (None, None) => None,
     };
     let laser: Option<Vec<f64>> = laser.map(|laser| {
-        on_time(laser, i.laser_delay_s, rate).into_iter().map(|x| x / i.laser_gain.value).collect()
+        on_time(laser, i.laser_delay_s, i.laser_noise_m, rate)
+            .into_iter()
+            .map(|x| x / i.laser_gain.value)
+            .collect()
     });
     let laser_noise_m = (i.laser_noise_m / i.laser_gain.value).abs();
     let both = Table::of(record, i.table_noise_m_s2);

@@ -40,13 +40,24 @@ pub(super) fn imposed(displacement: &[f64], sd: f64, rate: f64) -> Fused {
     let middle = sizes.len() / 2;
     let usual = if sizes.is_empty() { 0.0 } else { *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 };
     // The median of what is normal is 0.6745 of its deviation.
-    let told: Vec<bool> = hangs.iter().map(|hangs| hangs.abs() <= FAR_MORE * usual / 0.6745).collect();
-    let velocity_is_told = if are_few(&told) { told } else { vec![true; hangs.len()] };
+    let (most, near) = (FAR_MORE * usual / 0.6745, 0.5 * TAU / cut * rate);
+    let velocity_is_told = [near, 0.0].into_iter().find_map(|near| away_from(&hangs, most, near));
+    let velocity_is_told = velocity_is_told.unwrap_or_else(|| vec![true; hangs.len()]);
     Fused { velocity_is_told, ..fused }
 }
 
-fn are_few(told: &[bool]) -> bool {
-    told.iter().filter(|told| !**told).count() as f64 <= AT_CORNERS * told.len() as f64
+/// Whether each sample is away from those beyond a size by so many samples; nothing where not most are.
+fn away_from(x: &[f64], size: f64, samples: f64) -> Option<Vec<bool>> {
+    let most = AT_CORNERS * x.len() as f64;
+    let beyond: Vec<usize> = (0..x.len()).filter(|n| x[*n].abs() > size).collect();
+    if beyond.len() as f64 > most {
+        return None;
+    }
+    let (mut away, aside) = (vec![true; x.len()], samples.ceil() as usize);
+    for n in beyond {
+        away[n.saturating_sub(aside)..(n + aside + 1).min(x.len())].fill(false);
+    }
+    (away.iter().filter(|away| !**away).count() as f64 <= most).then_some(away)
 }
 
 /// What of the velocity lies between two low-passes, m/s, and what noise alone puts there, m/s rms.
@@ -82,17 +93,11 @@ fn usual_end_rad_s(displacement: &[f64], sd: f64, rate: f64) -> Option<f64> {
 /// Whether what of the velocity is given up with a lower low-pass is noise but for a few places and what is beside them.
 fn loses_nothing(spectrum: &Spectrum, usual: f64, end: f64, sd: f64) -> bool {
     let (lost, noise) = between(spectrum, usual, end, sd);
-    let aside = (TAU / usual * spectrum.sample_rate_hz()) as usize;
-    let mut told: Vec<bool> = lost.iter().map(|lost| lost.abs() <= FAR_MORE * noise).collect();
-    if !are_few(&told) {
-        return false;
-    }
-    for n in (0..lost.len()).filter(|n| lost[*n].abs() > FAR_MORE * noise) {
-        told[n.saturating_sub(aside)..(n + aside + 1).min(lost.len())].fill(false);
-    }
+    let aside = TAU / usual * spectrum.sample_rate_hz();
+    let Some(told) = away_from(&lost, FAR_MORE * noise, aside) else { return false };
     let rest = lost.iter().zip(&told).filter(|(_, told)| **told).map(|(lost, _)| lost * lost);
     let (sum, count) = rest.fold((0.0, 0usize), |(sum, count), square| (sum + square, count + 1));
-    are_few(&told) && sum <= (NOISE * noise).powi(2) * count as f64
+    sum <= (NOISE * noise).powi(2) * count as f64
 }
 
 #[cfg(test)]

@@ -67,15 +67,15 @@ impl Numbers {
 
     fn relative(&mut self, key: &str, value: f64, half_width: f64) {
         let scale = value.abs() * half_width.max(1e-6) * SIGMA;
-        // Three half-widths are far outside what the file allows; the prior pulls long before.
-        let reach = (6.0 * half_width).min(0.95) * value.abs();
+        // Six half-widths are far outside what the file allows; the prior pulls long before. Nothing turns its sign.
+        let [less, more] = [(6.0 * half_width).min(0.95), 6.0 * half_width].map(|reach| reach * value.abs());
         self.numbers.push(Number { key: key.to_owned(), logarithmic: false, strength: false });
         self.free.push(Free {
             key: key.to_owned(),
             start: value,
             scale,
             prior: (value, scale),
-            bounds: (value - reach, value + reach),
+            bounds: if value < 0.0 { (value - more, value + less) } else { (value - less, value + more) },
         });
     }
 

@@ -5,6 +5,7 @@ use super::motion::Motion;
 use super::numbers::{Number, Numbers};
 use super::problem::{Part, Problem};
 use crate::model::ModelSpec;
+use crate::record::Kind;
 use serde::Serialize;
 
 /// Standard deviations to each side within which 95 % are.
@@ -84,10 +85,19 @@ pub enum Domain {
     },
 }
 
-/// Standard deviation of the displacement sensor's zero for motions of the given RMS: 20 um for
-/// the paper's rig, in proportion elsewhere.
+/// Zero of a displacement sensor over the rms of the motion, in steady steps: 20 um for the paper's rig. Elsewhere over the largest displacement: a
+/// range holds the peaks of an earthquake or of a mass that is let go, which are several times their rms.
+const ZERO_OF_RMS: f64 = 1.5e-3;
+const ZERO_OF_PEAK: f64 = 4e-3;
+
+/// Standard deviation of the displacement sensor's zero for a motion, m.
 pub fn zero_sigma_m(motion: &Motion) -> f64 {
-    1.5e-3 * motion.rms(&motion.displacement_m)
+    let steady = ZERO_OF_RMS * motion.rms(&motion.displacement_m);
+    if motion.kind != Kind::Base || motion.windows.iter().any(|window| !window.random) {
+        return steady;
+    }
+    let peak = motion.displacement_m.iter().fold(0.0_f64, |peak, d| peak.max(d.abs()));
+    steady.max(ZERO_OF_PEAK * peak)
 }
 
 /// Fits the numbers of `start` over the windows of a part.

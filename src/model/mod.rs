@@ -35,7 +35,7 @@ pub use observe::{Observation, Observer};
 pub use scales::Scales;
 pub use sensitivity::{Sensitivity, simulate_with_sensitivities};
 pub use simulate::{History, simulate_from, simulate_sampled};
-pub use spec::{BumperSpec, EffectSpec, IsolatorSpec, ModelSpec};
+pub use spec::{BumperSpec, EffectSpec, IsolatorSpec, IsolatorUncertainty, ModelSpec, Uncertainty};
 pub use sweep::{
     StepPeaks, SweepHistory, SweepResponse, simulate_sweep, steady_peaks, sweep_history, sweep_peaks,
 };

@@ -168,7 +168,7 @@ fn cycles(input: &[f64]) -> f64 {
 }
 
 /// What answers the input.
-fn response(record: &Record) -> &[f64] {
+pub(super) fn response(record: &Record) -> &[f64] {
     match record.kind {
         Kind::Base if !record.relative_displacement_m.is_empty() => &record.relative_displacement_m,
         Kind::Base => &record.mass_acceleration_1_m_s2,
@@ -200,7 +200,7 @@ const PARTS: usize = 5;
 const DIED_OUT: f64 = 0.25;
 
 /// Whether a motion dies out, as nothing driven does.
-fn dies_out(motion: &[f64]) -> bool {
+pub(super) fn dies_out(motion: &[f64]) -> bool {
     let power = |part: &[f64]| {
         let mean = part.iter().sum::<f64>() / part.len().max(1) as f64;
         part.iter().map(|x| (x - mean).powi(2)).sum::<f64>()

@@ -14,6 +14,7 @@ use band::Band;
 pub use yaw::Yaw;
 
 use super::least_squares::{self, Free, Settings, dot};
+use super::response::beside_jumps_of_few_samples;
 use super::spectral::noise_of_whole;
 use crate::model::elementary::sin_cos;
 use crate::parallel;
@@ -262,10 +263,15 @@ impl Relation {
     }
 }
 
-/// A channel as it would be had it not been late. One with the corners of impacts rings when it is shifted by a part of a sample: only a delay
-/// that is beyond doubt is taken out.
-pub(super) fn on_time(channel: &[f64], late: Estimate, rate_hz: f64) -> Vec<f64> {
-    if late.is_late(OF_A_SAMPLE, rate_hz) { earlier(channel, late.value, rate_hz) } else { channel.to_vec() }
+/// A channel of a noise as it would be had it not been late. One with the corners of impacts rings when it is shifted by a part of a sample:
+/// then only a delay of a good part of one is taken out.
+pub(super) fn on_time(channel: &[f64], late: Estimate, noise: f64, rate_hz: f64) -> Vec<f64> {
+    let is_smooth = || beside_jumps_of_few_samples(channel, noise).iter().all(|smooth| *smooth);
+    if late.is_late(OF_A_SAMPLE, rate_hz) || late.is_late(0.0, rate_hz) && is_smooth() {
+        earlier(channel, late.value, rate_hz)
+    } else {
+        channel.to_vec()
+    }
 }
 
 /// A channel so much earlier, s.
