@@ -13,8 +13,8 @@ use crate::identify::kinematics::Tolerances;
 use crate::identify::least_squares::Settings;
 use crate::identify::motion::{Motion, MotionError};
 use crate::identify::problem::{OutputError, Part, Problem};
-use crate::identify::readied;
 use crate::identify::refit::{Domain, FittedNumber};
+use crate::identify::{answered, readied};
 use crate::model::effects::{self, Place};
 use crate::model::{EffectSpec, ModelError, ModelSpec, Scales};
 use crate::parallel;
@@ -124,7 +124,7 @@ fn add_along(
             .ok_or(AddError::NoResponse { with: "with the effect" })?;
         let lagging = may_lag.then(|| late_force::lag(&searcher, nominal, &trial, Thresholds::default()));
         if let Some(lagging) = lagging.flatten().filter(Lagging::is_told) {
-            let on_time = late_force::on_time(motion, &lagging);
+            let on_time = answered(motion, lagging.late_s);
             let mut added = add_along(record, &on_time, (nominal, given, fixed_start), false)?;
             added.notes.push(late::said_of_component(lagging.late_s));
             return Ok(added);

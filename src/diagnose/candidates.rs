@@ -190,7 +190,8 @@ const STIFFER: f64 = 30.0;
 /// How many times softer a stand is tried, too, and so many of its frequencies, where no response tells how strong it is.
 const SOFTER: [f64; 3] = [1.0, 4.0, 12.0];
 const RINGINGS: usize = 20;
-const GOLDEN: f64 = 0.618_033_988_749_895;
+/// The golden section.
+pub(super) const GOLDEN: f64 = 0.618_033_988_749_895;
 /// Shapes that are no nearer to each other than that are started from.
 const ALIKE: f64 = 0.1;
 /// Starts spread over the prior ranges of an effect with three numbers or more.

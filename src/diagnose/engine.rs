@@ -12,7 +12,7 @@ use crate::compare::quality;
 use crate::identify::kinematics::Tolerances;
 use crate::identify::motion::{Motion, MotionError};
 use crate::identify::together::{Setting, TogetherError};
-use crate::identify::{force_on_time, in_its_band};
+use crate::identify::{answered, force_on_time, in_its_band};
 use crate::model::{ModelError, ModelSpec};
 use crate::record::mended::mended;
 use crate::record::quality::Severity;
@@ -198,10 +198,10 @@ fn of_motion(
     let put_on_time = |lagging: &Lagging| {
         let notes = [notes.clone(), vec![late::said_of_component(lagging.late_s)]].concat();
         let again = Again { on_time: 0, noise: QUIETER, ..again };
-        let motion = late_force::on_time(&motion, lagging);
+        let motion = answered(&motion, lagging.late_s);
         of_motion((tests, nominal), options, motion, (findings.clone(), notes), again)
     };
-    if let Some(lagging) = lagging.as_ref().filter(|lagging| lagging.explains()) {
+    if let Some(lagging) = lagging.as_ref().filter(|lagging| lagging.explains) {
         let prompt = put_on_time(lagging)?;
         if prompt.error_after < KEPT * prompt.noise_floor {
             return Ok(prompt);
@@ -267,7 +267,6 @@ fn of_record(record: &Record, model: &ModelSpec, anyway: bool) -> Result<Vec<Str
 mod tests {
     use super::*;
     use crate::model::testing::oscillator;
-
     use rand::{SeedableRng, prelude::Distribution};
 
     #[test]

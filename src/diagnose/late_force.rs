@@ -2,12 +2,12 @@
 //! part of a sample makes memory, or friction of two kinds, of what is none. No kinematics tell it. What explains the record with a lag,
 //! and not without, does; a spring and a dashpot alone know it only as another dashpot. The engine asks, and `effect add`.
 
+use super::candidates::GOLDEN;
 use super::search::{Searcher, Stage};
 use super::thresholds::Thresholds;
 use super::trial::Trial;
 use super::verdict;
 use crate::identify::answered;
-use crate::identify::motion::Motion;
 use crate::model::ModelSpec;
 use crate::parallel;
 use crate::record::Kind;
@@ -31,15 +31,10 @@ pub(super) struct Lagging {
     without: Trial,
     with: Trial,
     /// Noise is all that is left with it.
-    explains: bool,
+    pub(super) explains: bool,
 }
 
 impl Lagging {
-    /// Whether noise is all that is left with it.
-    pub(super) fn explains(&self) -> bool {
-        self.explains
-    }
-
     /// Whether a lag is the reason rather than what a search without one chose: it takes fewer effects and leaves less, or as many and
     /// much less.
     pub(super) fn is_rather_than(&self, chosen: &Trial) -> bool {
@@ -55,7 +50,7 @@ impl Lagging {
     }
 }
 
-/// The lag with which the model or one effect explains the record of a component where neither does without; else that of the best of
+/// Of a component: the lag with which the model or one effect explains its record where neither does without; else that of the best of
 /// them. Nothing where no lag is needed, or none brings anything.
 pub(super) fn of_component(
     searcher: &Searcher<'_>,
@@ -65,7 +60,7 @@ pub(super) fn of_component(
 ) -> Option<Lagging> {
     let explains = |trial: &Trial| verdict::leaves_noise(searcher, trial, thresholds);
     let brings = |trial: &Trial| verdict::brings(trial, base, thresholds);
-    if searcher.motion.kind != Kind::Component || explains(base) && !first.finalists.iter().any(brings) {
+    if explains(base) && !first.finalists.iter().any(brings) {
         return None;
     }
     // Where one effect explains it, what else may is the model alone.
@@ -117,14 +112,8 @@ pub(super) fn lag(
     brings.then_some(Lagging { late_s: samples * dt_s, without, with, explains })
 }
 
-/// The motion that a component's force answers.
-pub(super) fn on_time(motion: &Motion, lagging: &Lagging) -> Motion {
-    answered(motion, lagging.late_s)
-}
-
 /// Place of the least of a function of one valley (golden section; Kiefer, Proc. Am. Math. Soc. 4 (1953) 502), to so much.
 fn least(of: impl Fn(f64) -> f64, (mut from, mut to): (f64, f64), known_to: f64) -> f64 {
-    const GOLDEN: f64 = 0.618_033_988_749_895;
     let (mut low, mut high) = (to - GOLDEN * (to - from), from + GOLDEN * (to - from));
     let (mut at_low, mut at_high) = (of(low), of(high));
     while to - from > known_to {

@@ -389,11 +389,16 @@ impl<'a> Searcher<'a> {
     }
 
     /// The same where the first stage has been tried.
-    pub(super) fn search_from(&self, base: Trial, first: Option<Stage>, thresholds: Thresholds) -> Search {
+    pub(super) fn search_from(
+        &self,
+        base: Trial,
+        mut first: Option<Stage>,
+        thresholds: Thresholds,
+    ) -> Search {
         // A component's force is compared along an imposed motion: nothing but its gain ends the search.
         let component = self.motion.kind == Kind::Component;
         let enough = if component { 0.0 } else { 0.5 * thresholds.left };
-        let (mut first, mut search) = (first, Search { base, stages: Vec::new() });
+        let mut search = Search { base, stages: Vec::new() };
         // Beyond a pair the response explains anything.
         let together =
             if search.base.response.is_some() { self.effort.together.min(2) } else { self.effort.together };

@@ -86,8 +86,7 @@ impl Thresholds {
     pub(super) fn most_over_noise(self, motion: &Motion) -> f64 {
         // Of each record alone, and mixed as its samples are.
         let all = motion.displacement_m.len();
-        let ends = motion.sources.iter().map(|source| source.first).skip(1).chain([all]);
-        let lengths = motion.sources.iter().zip(ends).map(|(source, end)| end - source.first);
+        let lengths = motion.records().map(|record| record.len());
         let variance = |samples: usize| {
             let share = samples as f64 / all.max(1) as f64;
             (share * stretches_noise_sigma(samples)).powi(2)

@@ -27,16 +27,15 @@ pub(super) fn motion(record: &Record, mass_kg: f64) -> Result<Motion, MotionErro
 /// The motion that a component's force answers, where that comes so much later than the motion as it was recorded (s, below zero earlier): along
 /// the cubic through two samples and their velocities.
 pub fn answered(motion: &Motion, late_s: f64) -> Motion {
-    let (dt_s, all) = (motion.dt_s(), motion.displacement_m.len());
+    let dt_s = motion.dt_s();
     let mut out = motion.clone();
-    let ends = motion.sources.iter().map(|source| source.first).skip(1).chain([all]);
-    for (first, end) in motion.sources.iter().map(|source| source.first).zip(ends) {
-        let last = end.saturating_sub(2).max(first);
-        for n in first..end {
+    for record in motion.records() {
+        let last = record.end.saturating_sub(2).max(record.start);
+        for n in record.clone() {
             let at = n as f64 - late_s / dt_s;
-            let before = (at.floor().max(first as f64) as usize).min(last);
+            let before = (at.floor().max(record.start as f64) as usize).min(last);
             let u = (at - before as f64).clamp(0.0, 1.0);
-            let after = (before + 1).min(end - 1);
+            let after = (before + 1).min(record.end - 1);
             let [d0, d1] = [before, after].map(|i| motion.displacement_m[i]);
             let [s0, s1] = [before, after].map(|i| motion.velocity_m_s[i] * dt_s);
             out.displacement_m[n] = hermite(d0, s0, d1, s1, u);

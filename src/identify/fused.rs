@@ -14,6 +14,7 @@ use std::f64::consts::PI;
 const FADES_OVER: f64 = 0.6;
 /// Bins that are looked at together at least: of noise alone, four stand above four times their mean once in ten thousand.
 const LEAST_BINS: usize = 16;
+
 /// Displacement and its derivatives with their noise.
 pub(super) struct Fused {
     pub(super) displacement_m: Vec<f64>,
@@ -101,6 +102,7 @@ pub(super) fn passes(w: f64, cut: f64) -> f64 {
     (0.5 * PI * beyond).cos().powi(2)
 }
 
+/// A displacement of that spectrum and a noise (m rms a sample), low-passed and differentiated.
 pub(super) fn differentiated(spectrum: &Spectrum, cut: f64, sd: f64) -> Fused {
     let low = move |w: f64| passes(w, cut);
     derivatives(&spectrum.clone().multiply(|w| Complex64::from(low(w))), |w| (sd * low(w)).powi(2))

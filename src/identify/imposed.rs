@@ -3,6 +3,7 @@
 //! them, and what lies beside them is not told.
 
 use super::fused::{Fused, cut_rad_s, differentiated, passes};
+use super::jumpless::usual_deviation;
 use super::ramps;
 use crate::signal::Spectrum;
 use realfft::num_complex::Complex64;
@@ -36,11 +37,7 @@ pub(super) fn imposed(displacement: &[f64], sd: f64, rate: f64) -> Fused {
         .unwrap_or(end);
     let fused = differentiated(&spectrum, cut, sd);
     let (hangs, _) = between(&spectrum, cut / LOWER, cut, sd);
-    let mut sizes: Vec<f64> = hangs.iter().map(|hangs| hangs.abs()).collect();
-    let middle = sizes.len() / 2;
-    let usual = if sizes.is_empty() { 0.0 } else { *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 };
-    // The median of what is normal is 0.6745 of its deviation.
-    let (most, near) = (FAR_MORE * usual / 0.6745, 0.5 * TAU / cut * rate);
+    let (most, near) = (FAR_MORE * usual_deviation(&hangs), 0.5 * TAU / cut * rate);
     let velocity_is_told = [near, 0.0].into_iter().find_map(|near| away_from(&hangs, most, near));
     let velocity_is_told = velocity_is_told.unwrap_or_else(|| vec![true; hangs.len()]);
     Fused { velocity_is_told, ..fused }

@@ -34,6 +34,17 @@ fn change(x: &[f64], i: usize, weights: [f64; SIDE], gap: usize) -> f64 {
     after - before
 }
 
+/// Standard deviation of what is normal but for some values that are far off, by the median of the sizes.
+pub(super) fn usual_deviation(x: &[f64]) -> f64 {
+    let mut sizes: Vec<f64> = x.iter().map(|x| x.abs()).collect();
+    let middle = sizes.len() / 2;
+    if sizes.is_empty() {
+        return 0.0;
+    }
+    // The median of what is normal is 0.6745 of its deviation.
+    *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 / 0.6745
+}
+
 /// A channel with its jumps taken out, the two samples beside each laid between their neighbours.
 fn levelled(x: &[f64]) -> Cow<'_, [f64]> {
     let ends = SIDE + 1;
@@ -42,11 +53,7 @@ fn levelled(x: &[f64]) -> Cow<'_, [f64]> {
     }
     let places = ends..x.len() - ends - 1;
     let changes: Vec<f64> = places.clone().map(|i| change(x, i, NEXT, 0)).collect();
-    let mut sizes: Vec<f64> = changes.iter().map(|change| change.abs()).collect();
-    let middle = sizes.len() / 2;
-    let (_, usual, _) = sizes.select_nth_unstable_by(middle, f64::total_cmp);
-    // The median of what is normal is 0.6745 of its deviation.
-    let least = JUMP * *usual / 0.6745;
+    let least = JUMP * usual_deviation(&changes);
     let is_most = |k: usize| {
         let around = &changes[k.saturating_sub(SIDE)..(k + SIDE + 1).min(changes.len())];
         changes[k].abs() > least && around.iter().all(|other| other.abs() <= changes[k].abs())

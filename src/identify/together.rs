@@ -3,6 +3,7 @@
 
 use super::motion::{Motion, MotionError};
 use crate::model::{ModelSpec, effects};
+use std::ops::Range;
 
 /// What was changed on the specimen between records; everything else is fitted as one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -135,6 +136,12 @@ impl Motion {
             all.append(part, setting);
         }
         Ok(all)
+    }
+
+    /// Samples of each record.
+    pub fn records(&self) -> impl Iterator<Item = Range<usize>> {
+        let ends = self.sources.iter().map(|source| source.first).skip(1).chain([self.displacement_m.len()]);
+        self.sources.iter().zip(ends).map(|(source, end)| source.first..end)
     }
 
     fn append(&mut self, part: Motion, setting: Setting) {
