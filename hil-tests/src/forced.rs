@@ -284,21 +284,25 @@ pub fn axis(body: &Body, seed: u64) -> Record {
     const EACH_S: f64 = 3.0;
     const PLACE_1_S: f64 = 30.0;
     const SPEED_N_S_M: f64 = 3000.0;
+    const STEP_S: f64 = 1.0 / (RATE_HZ * FINE as f64);
     let mut random = Pcg64::seed_from_u64(seed);
     let mut record = Record::empty("axis", Kind::Force, RATE_HZ);
     let (mut state, mut from) = ((0.0, 0.0), 0.0);
     for to in PLACES_M {
         let lasts = random.random_range(0.4..0.8) * EACH_S;
-        for i in 0..(EACH_S * RATE_HZ) as usize {
-            let part = (i as f64 / RATE_HZ / lasts).min(1.0);
+        let force = |t_s: f64, (x, v): (f64, f64)| {
+            let part = (t_s / lasts).min(1.0);
             let aim = from + (to - from) * part.powi(3) * (10.0 - 15.0 * part + 6.0 * part * part);
-            let force = |(x, v): (f64, f64)| SPEED_N_S_M * (PLACE_1_S * (aim - x) - v);
+            SPEED_N_S_M * (PLACE_1_S * (aim - x) - v)
+        };
+        for i in 0..(EACH_S * RATE_HZ) as usize {
+            let t_s = i as f64 / RATE_HZ;
             record.time_s.push(record.time_s.len() as f64 / RATE_HZ);
-            record.force_n.push(force(state) + noise(&mut random, 0.3));
+            record.force_n.push(force(t_s, state) + noise(&mut random, 0.3));
             record.displacement_m.push((state.0 / 1e-6).round() * 1e-6);
-            for _ in 0..FINE {
-                let force_n = force(state);
-                body.slide(&mut state, force_n, 1.0 / (RATE_HZ * FINE as f64));
+            for j in 0..FINE {
+                let force_n = force(t_s + j as f64 * STEP_S, state);
+                body.slide(&mut state, force_n, STEP_S);
             }
         }
         from = to;

@@ -119,6 +119,21 @@ fn a_force_that_comes_late_is_put_on_time() {
 }
 
 #[test]
+fn a_spring_that_bends_is_named_beside_a_force_that_comes_late() {
+    for (seed, late) in [(33, 1), (34, 2)] {
+        let body = Body { cubic_n_m3: 2.0, ..OSCILLATOR };
+        let mut record = waves(&body, seed);
+        record.force_n.rotate_right(late);
+        let found = found(&record, &OSCILLATOR.nominal("oscillator", seed + 4));
+        assert_eq!(hil_tests::named(&found), ["cubic-stiffness"], "{:?}", found.refused);
+        let k3 = &found.effects[0].parameters["k3_n_m3"];
+        assert!((k3.value - 2.0).abs() < 0.02, "{k3:?}");
+        assert!(found.error_after < 1.05 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+        assert!(found.notes.iter().any(|note| note.ends_with("taken back")), "{:?}", found.notes);
+    }
+}
+
+#[test]
 fn dry_friction_of_an_axis_that_nothing_holds_is_named() {
     let nominal = AXIS.nominal("axis", 5);
     let found = found(&axis(&AXIS, 6), &nominal);
@@ -132,6 +147,18 @@ fn dry_friction_of_an_axis_that_nothing_holds_is_named() {
     let fc = &found.effects[0].parameters["fc_n"];
     assert!((fc.value - 20.0).abs() < 0.1, "{fc:?}");
     assert!(found.error_after < 0.3 * found.error_reidentified);
+}
+
+#[test]
+fn what_friction_does_beside_a_weight_is_no_lag_of_the_force() {
+    let body = Body { constant_n: 3.2, ..AXIS };
+    let found = found(&axis(&body, 41), &body.nominal("axis", 42));
+    let mut names = hil_tests::named(&found);
+    names.sort_unstable();
+    assert_eq!(names, ["constant-force", "coulomb-friction"], "{:?}", found.refused);
+    assert!(!found.notes.iter().any(|note| note.contains("taken back")), "{:?}", found.notes);
+    within(&found, "mass_kg", body.mass_kg, 4.0);
+    within(&found, "isolator.damping_n_s_m", body.damping_n_s_m, 4.0);
 }
 
 #[test]

@@ -89,7 +89,8 @@ pub fn diagnose_together(
     let records: Vec<_> = records.into_iter().map(in_its_band).collect();
     let tests: Vec<(&Record, &ModelSpec)> =
         records.iter().zip(tests).map(|(record, (_, model))| (&**record, *model)).collect();
-    let again = Again { said: &said, late_s: &vec![0.0; tests.len()], on_time: ON_TIME, noise: QUIETER };
+    let late_s = vec![0.0; tests.len()];
+    let again = Again { said: &said, late_s: &late_s, late: None, on_time: ON_TIME, noise: QUIETER };
     let mut out = of_records(&tests, options, again)?;
     out.wall_s = begun.elapsed().as_secs_f64();
     Ok(out)
@@ -131,6 +132,9 @@ fn of_records(
 /// So many times at most a force is put on time, and where that is left to what explains the record.
 const ON_TIME: usize = 4;
 const BY_EXPLANATION: usize = 1;
+/// Share of the base model's error that putting a force on time may leave, at most, where it is done before anything else is tried: what
+/// friction does to an axis passes for a lag of some samples, and leaves nearly all of it.
+const LEFT_ON_TIME: f64 = 0.7;
 /// Error over the noise floor of a component whose force was put on time, at most, where noise was all that was left with that.
 const KEPT: f64 = 1.5;
 /// So many times at most the noise is taken to be what a diagnosis leaves, or a drift taken out.
@@ -143,6 +147,8 @@ struct Again<'a> {
     said: &'a [String],
     /// By how much the force of each record has been put on time, s.
     late_s: &'a [f64],
+    /// Error of the base model on the records as they came, where their forces were put on time by what it says.
+    late: Option<f64>,
     /// So many times more it may be.
     on_time: usize,
     /// So many times more the noise may be told anew.
@@ -164,7 +170,7 @@ impl Again<'_> {
         of_records(
             &prompt,
             options,
-            Again { late_s: &late_s, on_time: self.on_time - 1, noise: QUIETER, said: self.said },
+            Again { late_s: &late_s, on_time: self.on_time - 1, noise: QUIETER, ..self },
         )
     }
 }
@@ -183,11 +189,17 @@ fn of_motion(
     let base = searcher.base(nominal).ok_or_else(diverges)?;
     parts::done("base model");
     let is_moved = again.late_s.iter().any(|late_s| *late_s != 0.0);
+    let error = searcher.held_out_error(&base).map(|error| error.nrmse());
     let much = if is_moved { late::SPOKEN_OF } else { late::MUCH };
     if again.on_time > BY_EXPLANATION
         && let Some(lags) = late::of_forces(&searcher, &base, much)
     {
-        return again.put_on_time(tests, options, &lags);
+        let late = again.late.or(error);
+        return Again { late, ..again }.put_on_time(tests, options, &lags);
+    }
+    if again.late.zip(error).is_some_and(|(late, error)| error > LEFT_ON_TIME * late) {
+        let by_explanation = Again { on_time: BY_EXPLANATION + 1, late: None, ..again };
+        return by_explanation.put_on_time(tests, options, again.late_s);
     }
     // A component's force is put on time once.
     let first =

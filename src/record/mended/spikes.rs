@@ -92,10 +92,20 @@ fn fourths(x: &[f64]) -> Vec<f64> {
     x.windows(5).map(|w| w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4]).collect()
 }
 
+/// Deviation of what rounding does to a channel that is told in whole counts: at rest nothing else is seen of it. Of one that is not, next
+/// to nothing.
+fn rounding(x: &[f64]) -> f64 {
+    let steps = || x.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+    let largest = steps().fold(0.0, f64::max);
+    let count = steps().filter(|step| *step > 1e-9 * largest).fold(largest, f64::min);
+    count / 12f64.sqrt()
+}
+
 /// Samples far from what runs through those beside them, where those fit together.
 fn standing_alone(x: &[f64]) -> Vec<Spike> {
     let differences = fourths(x);
     let usual = deviation_by_median(differences.iter().copied().step_by(one_of(differences.len())));
+    let usual = usual.max(rounding(x) * 70f64.sqrt());
     let mut out: Vec<Spike> = Vec::new();
     if usual == 0.0 || !usual.is_finite() {
         return out;
@@ -246,6 +256,18 @@ mod tests {
         // Nothing tells which it is.
         spoilt.displacement_m.clear();
         assert!(find(&spoilt, Role::Acceleration).is_empty());
+    }
+
+    #[test]
+    fn counts_of_a_place_that_is_held_are_none() {
+        // Told to a micrometre: a count to and fro between long rests, and a word that was lost.
+        let mut record = swinging(0.0);
+        let place =
+            |i: usize| if i % 97 == 5 || (2000..2200).contains(&i) && i % 3 == 0 { 4e-6 } else { 3e-6 };
+        record.displacement_m = (0..4000).map(place).collect();
+        assert!(find(&record, Role::Displacement).is_empty());
+        record.displacement_m[1000] = 1e-3;
+        assert_eq!(find(&record, Role::Displacement).len(), 1);
     }
 
     #[test]
