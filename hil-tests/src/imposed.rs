@@ -115,6 +115,30 @@ pub fn stepped(rig: Rig, cubic_n_m3: f64, frequencies_hz: [f64; 4], amplitude_m:
     out
 }
 
+/// A rig's spring and dashpot with dry friction, N, in three runs of six cycles that begin and end of a sudden, with rests of so many seconds
+/// about them, through which friction holds.
+pub fn rested(rig: Rig, friction_n: f64, rest_s: f64, seed: u64) -> Record {
+    const RUNS: [(f64, f64); 3] = [(0.5, 0.01), (0.5, 0.02), (1.0, 0.015)];
+    let mut random = Pcg64::seed_from_u64(seed);
+    let mut out = Record::empty("rested", Kind::Component, RATE_HZ);
+    let mut holds = 0.0;
+    for (frequency_hz, amplitude_m) in RUNS {
+        let (w, runs) = (TAU * frequency_hz, (6.0 / frequency_hz * RATE_HZ) as usize);
+        let rests = (rest_s * RATE_HZ) as usize;
+        for i in 0..rests + runs {
+            let phase = w * i.saturating_sub(rests) as f64 / RATE_HZ;
+            let v = if i < rests { 0.0 } else { amplitude_m * w * phase.cos() };
+            let x = amplitude_m * phase.sin();
+            holds = if v == 0.0 { holds } else { friction_n * f64::signum(v) };
+            out.time_s.push(out.time_s.len() as f64 / RATE_HZ);
+            out.displacement_m.push(x + noise(&mut random, rig.displacement_noise_m));
+            let force = rig.stiffness_n_m * x + rig.damping_n_s_m * v + holds;
+            out.force_n.push(force + noise(&mut random, 10.0));
+        }
+    }
+    out
+}
+
 /// Waves of 0.2 to 1.8 Hz and some millimetres for a minute, the force of each fine step told by what a component makes of both its ends.
 fn record(name: &str, rig: Rig, seed: u64, mut component: impl FnMut([f64; 2], f64) -> f64) -> Record {
     let mut random = Pcg64::seed_from_u64(seed);

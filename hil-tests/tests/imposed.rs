@@ -1,7 +1,7 @@
 //! The diagnosis on components of other rigs: a displacement imposed, a force measured.
 
 use hil_tests::imposed::{
-    DASHPOT, FREE_DASHPOT, Rig, SPRING, friction, growing, hysteresis, joint, nominal, stepped,
+    DASHPOT, FREE_DASHPOT, Rig, SPRING, friction, growing, hysteresis, joint, nominal, rested, stepped,
 };
 use shaketable::compare::compare;
 use shaketable::diagnose::adding::add;
@@ -180,6 +180,34 @@ fn a_velocity_that_jumps_from_step_to_step_is_no_memory() {
     let told = &found.effects[0].parameters["k3_n_m3"];
     assert!((told.value / 3e9 - 1.0).abs() < 0.01, "{told:?}");
     assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+}
+
+#[test]
+fn friction_that_holds_through_rests_is_no_hysteresis() {
+    // What noise makes of the velocity at rest turned it, and so did what rings about a sudden start.
+    let rig = Rig { displacement_noise_m: 1e-5, ..SPRING };
+    for (rest_s, seed) in [(3.0, 21), (30.0, 22)] {
+        let found = found(&rested(rig, 600.0, rest_s, seed), rig, "coulomb-friction");
+        let fc = &found.effects[0].parameters["fc_n"];
+        assert!((fc.value - 600.0).abs() < 6.0, "{fc:?}");
+        assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+    }
+}
+
+#[test]
+fn the_noise_of_what_is_imposed_wears_no_hysteresis() {
+    // `compare` followed it from sample to sample: 7.5 % of the force. What is left of it pulls at the springs.
+    let rig = Rig { displacement_noise_m: 2e-5, ..SPRING };
+    let shape = [("kh_n_m", 4e5), ("dy_m", 1e-3), ("n", 1.3), ("gamma", 0.35)];
+    let record = hysteresis(rig, shape.map(|(_, value)| value), 23);
+    let mut model = nominal(rig);
+    model.isolator.stiffness_n_m[0] = rig.stiffness_n_m;
+    model.isolator.damping_n_s_m = rig.damping_n_s_m;
+    let parameters = shape.map(|(name, value)| (name.to_owned(), value)).into();
+    model.effects.push(EffectSpec { name: "bouc-wen-hysteresis".into(), expression: None, parameters });
+    let error = compare(&record, &model).expect("comparable").error;
+    let (told, floor) = (error.nrmse_force.expect("a force"), error.noise_floor_a.expect("a force"));
+    assert!(told < 2.0 * floor, "{told} {floor}");
 }
 
 #[test]

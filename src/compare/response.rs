@@ -2,6 +2,7 @@
 
 use super::CompareError;
 use super::window::Window;
+use crate::identify::imposed_on_component;
 use crate::identify::motion::ALONG_LINES;
 use crate::identify::spectral::{along_straight_lines, held_1_s2};
 use crate::model::system::System;
@@ -74,6 +75,8 @@ pub struct Measured {
     pub gain_a: f64,
     /// Displacement, m.
     pub d: Vec<f64>,
+    /// Its rate where it was imposed (`component`), m/s; empty otherwise.
+    imposed_m_s: Vec<f64>,
     /// White noise of the displacement, m.
     noise_m: f64,
     /// Samples of the fastest cycle.
@@ -150,6 +153,9 @@ impl Measured {
             _ => 0.5 * (one + two),
         };
         let noise_m = white_noise(&d);
+        // Models are fitted along the same.
+        let imposed = (record.kind == Kind::Component).then(|| imposed_on_component(record).ok()).flatten();
+        let [d, imposed_m_s] = imposed.unwrap_or([d, Vec::new()]);
         Ok(Self {
             gain_a,
             noise_m,
@@ -162,6 +168,7 @@ impl Measured {
             a,
             seen_by,
             d,
+            imposed_m_s,
             cycle,
         })
     }
@@ -171,10 +178,13 @@ impl Measured {
         self.a.len().max(self.d.len())
     }
 
-    /// Rate of the displacement at a sample, m/s: difference of two neighbouring means, each an
+    /// Rate of the displacement at a sample, m/s: that which was imposed, or the difference of two neighbouring means, each an
     /// eightieth of `cycle` samples wide, so that noise does not drown it; beyond the last place with
     /// room for both means it goes on as it changed before.
     pub fn velocity(&self, sample: usize, cycle: usize) -> f64 {
+        if let Some(v) = self.imposed_m_s.get(sample) {
+            return *v;
+        }
         let last = self.d.len().saturating_sub(1);
         let wide = (cycle / 80).max(1);
         if last < 3 * wide {

@@ -24,6 +24,18 @@ pub(super) fn motion(record: &Record, mass_kg: f64) -> Result<Motion, MotionErro
     })
 }
 
+/// Displacement (m) and velocity (m/s) that were imposed on a component, sample by sample, as models are fitted along them: without most of their
+/// noise, and at rest where a place is held.
+///
+/// # Errors
+/// A channel that is missing.
+pub fn imposed_on_component(record: &Record) -> Result<[Vec<f64>; 2], MotionError> {
+    let displacement = channel(record, &record.displacement_m, "displacement_m")?;
+    let rate = record.sample_rate_hz;
+    let fused = imposed(displacement, noise_of_sensor(displacement, rate), rate);
+    Ok([fused.displacement_m, fused.velocity_m_s])
+}
+
 /// The motion that a component's force answers, where that comes so much later than the motion as it was recorded (s, below zero earlier): along
 /// the cubic through two samples and their velocities.
 pub fn answered(motion: &Motion, late_s: f64) -> Motion {

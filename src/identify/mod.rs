@@ -25,7 +25,7 @@ mod weighing;
 mod windows;
 
 pub use applied::{applied_noise, force_on_time};
-pub use component::answered;
+pub use component::{answered, imposed_on_component};
 pub use jumpless::noise_of_whole_beside_jumps;
 
 use crate::record::{Record, mended::mended};

@@ -491,8 +491,11 @@ impl System {
         of_steps.sum::<f64>() + of_values + of_priors
     }
 
-    /// Whether values lie where another fit of them ended, as far as the record tells.
+    /// Whether values lie where another fit of them ended, as far as the record tells; not where that was of other ones.
     fn leads_to(&self, moved: &[f64], known: &Laid) -> bool {
+        if known.values.len() != moved.len() {
+            return false;
+        }
         let apart = DVector::from_fn(moved.len(), |j, _| moved[j] - known.values[j]);
         (apart.transpose() * &self.normal * &apart)[(0, 0)] < SAME
     }
