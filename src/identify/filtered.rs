@@ -94,9 +94,12 @@ fn thinned(record: &Record, end_hz: f64) -> Option<Record> {
     let nearest = |i: usize| ((shift_s + i as f64 / out.sample_rate_hz) * rate).round() as usize;
     out.step = (0..samples).filter_map(|i| record.step.get(nearest(i)).copied()).collect();
     out.notes.clone_from(&record.notes);
+    // Four figures of what is told to no more.
+    let decimals = |hz: f64| (3 - hz.abs().max(1e-12).log10().floor() as i32).clamp(0, 9) as usize;
+    let (end, taken_hz) = (decimals(end_hz), out.sample_rate_hz);
     out.notes.push(format!(
-        "all sensors of what answers were low-passed at about {end_hz:.4} Hz after they were sampled: taken at {:.5} Hz, where their noise is white",
-        out.sample_rate_hz
+        "all sensors of what answers were low-passed at about {end_hz:.end$} Hz after they were sampled: taken at {taken_hz:.taken$} Hz, where their noise is white",
+        taken = decimals(taken_hz),
     ));
     (record.step.is_empty() || out.step.len() == samples).then_some(out)
 }

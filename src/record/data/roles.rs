@@ -282,7 +282,11 @@ fn kind(path: &Path, record: &mut Record, asked: Option<Kind>, columns: &Columns
         Ok(kind)
     } else {
         let there = columns.names.join(", ");
-        let needed = "a base record needs table_acceleration_m_s2, a force or component record force_n";
+        let needed = if force {
+            "a force or component record needs displacement_m or acceleration_m_s2 beside force_n"
+        } else {
+            "a base record needs table_acceleration_m_s2, a force or component record force_n"
+        };
         Err(content(path, format!("{needed}; columns are: {there} (`--map role=column` names others)")))
     }
 }
