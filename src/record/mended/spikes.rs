@@ -262,8 +262,8 @@ mod tests {
     fn counts_of_a_place_that_is_held_are_none() {
         // Told to a micrometre: a count to and fro between long rests, and a word that was lost.
         let mut record = swinging(0.0);
-        let place =
-            |i: usize| if i % 97 == 5 || (2000..2200).contains(&i) && i % 3 == 0 { 4e-6 } else { 3e-6 };
+        let flickers = |i: &usize| (2000..2200).contains(i) && i.is_multiple_of(3);
+        let place = |i: usize| if i % 97 == 5 || flickers(&i) { 4e-6 } else { 3e-6 };
         record.displacement_m = (0..4000).map(place).collect();
         assert!(find(&record, Role::Displacement).is_empty());
         record.displacement_m[1000] = 1e-3;
