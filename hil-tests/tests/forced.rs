@@ -3,7 +3,7 @@
 use hil_tests::forced::{Body, STIFFENING, axis, felt_waves, held, let_go, stiffening, struck, waves};
 use shaketable::compare::compare;
 use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose};
-use shaketable::model::ModelSpec;
+use shaketable::model::{IsolatorUncertainty, ModelSpec, Uncertainty};
 use shaketable::record::Record;
 
 /// 5 mg at 70 Hz.
@@ -152,7 +152,13 @@ fn dry_friction_of_an_axis_that_nothing_holds_is_named() {
 #[test]
 fn what_friction_does_beside_a_weight_is_no_lag_of_the_force() {
     let body = Body { constant_n: 3.2, ..AXIS };
-    let found = found(&axis(&body, 41), &body.nominal("axis", 42));
+    // Someone who knows nothing of a spring gives one of which nothing is known.
+    let mut nominal = body.nominal("axis", 42);
+    nominal.isolator.stiffness_n_m[0] = 10.0;
+    let unknown = IsolatorUncertainty { stiffness_n_m: vec![1.0], ..IsolatorUncertainty::default() };
+    nominal.uncertainty = Some(Uncertainty { isolator: Some(unknown), ..Uncertainty::default() });
+    let found = found(&axis(&body, 41), &nominal);
+    within(&found, "isolator.stiffness_n_m[0]", 0.0, 4.0);
     let mut names = hil_tests::named(&found);
     names.sort_unstable();
     assert_eq!(names, ["constant-force", "coulomb-friction"], "{:?}", found.refused);

@@ -8,6 +8,9 @@ use crate::record::Kind;
 /// Share of a 95 % half-width that is one standard deviation.
 const SIGMA: f64 = 1.0 / 1.96;
 
+/// Least share that is left of a spring or a dashpot of which nothing is known.
+const NEXT_TO_NOTHING: f64 = 1e-6;
+
 /// A number that is fitted over magnitudes is `exp` of what the fit moves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Number {
@@ -17,6 +20,16 @@ pub struct Number {
     pub logarithmic: bool,
     /// How strong an effect is: its first number, where its magnitude is not known beforehand.
     pub strength: bool,
+}
+
+/// A driven mass may have no spring at all, and no dashpot, where the model file knows nothing of them (an axis that nothing holds). What plays
+/// within a component has to close against something.
+fn let_vanish(free: &mut Free) {
+    let of_isolator = ["isolator.stiffness_n_m", "isolator.damping_n_s_m"];
+    let unknown = free.prior.1 >= free.prior.0.abs() * SIGMA;
+    if unknown && free.start > 0.0 && of_isolator.iter().any(|key| free.key.starts_with(key)) {
+        free.bounds.0 = NEXT_TO_NOTHING * free.start;
+    }
 }
 
 /// The numbers of a model that a fit moves, and the fit's view of them.
@@ -61,6 +74,9 @@ impl Numbers {
                 out.relative("bumper.damping_n_s_m", bumper.damping_n_s_m, u.damping_n_s_m.unwrap_or(0.12));
             }
             out.relative("bumper.total_gap_m", bumper.total_gap_m, u.total_gap_m.unwrap_or(0.02));
+        }
+        if kind == Kind::Force {
+            out.free.iter_mut().for_each(let_vanish);
         }
         out
     }
