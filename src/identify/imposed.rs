@@ -8,11 +8,15 @@ use super::ramps;
 use crate::signal::Spectrum;
 use realfft::num_complex::Complex64;
 use std::f64::consts::TAU;
+use std::ops::Range;
 
-/// By how much lower another low-pass begins, and how many deviations what hangs on that may be usual: the first of these that leaves but a
-/// few corners, about which the velocity rings.
+/// By how much lower another low-pass begins, and how many deviations what hangs on that may be usual.
 const LOWER: f64 = 1.5;
-const FAR_MORE: [f64; 4] = [6.0, 12.0, 24.0, 48.0];
+const FAR_MORE: f64 = 6.0;
+/// Half cycles of where the band ends that a sudden start rings for, at most.
+const RINGS: f64 = 16.0;
+/// So many times that about rests, the first that leaves but a few samples there.
+const TIMES_AT_RESTS: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
 /// Largest share of the samples that lies beside corners: more, and that is how the motion is.
 const AT_CORNERS: f64 = 0.1;
 /// Pieces of a record that are looked at for where the motion usually ends, samples in one at least and pieces at least; bins that are looked
@@ -25,51 +29,115 @@ const ABOVE: f64 = 4.0;
 /// Velocity over its noise below which its sense is not known; samples on each side of one, most of which are as slow where a place is held.
 const SLOW: f64 = 3.0;
 const HELD: usize = 8;
+/// What is left of noise moves a place that is held by less than so many deviations of it.
+const WITHIN: f64 = 6.0;
 /// Share of the band that has to be gained, and rms over that of noise of what is given up at most.
 const WORTH: f64 = 0.75;
 const NOISE: f64 = 1.1;
 
 /// A displacement that is imposed, of a noise (m rms a sample).
 pub(super) fn imposed(displacement: &[f64], sd: f64, rate: f64) -> Fused {
-    let mut fused = match ramps::examine(displacement, sd, rate) {
-        Some(ramps) => Fused::of_ramps(ramps),
+    let (mut fused, corners) = match ramps::examine(displacement, sd, rate) {
+        Some(ramps) => (Fused::of_ramps(ramps), None),
         None => of_band(displacement, sd, rate),
     };
-    still_at_rest(&mut fused.velocity_m_s, SLOW * fused.velocity_noise_m_s);
+    let (place, velocity) = (&fused.displacement_m, &mut fused.velocity_m_s);
+    let rests = still_at_rest(velocity, SLOW * fused.velocity_noise_m_s, |run| is_held(&place[run], sd));
+    if let Some(away) = corners.and_then(|corners| corners.at_the_ends_of(&rests)) {
+        fused.velocity_is_told.iter_mut().zip(away).for_each(|(told, away)| *told &= away);
+    }
     fused
 }
 
-/// Where a place is held there is no velocity. What noise leaves of one is faster than usual by chance, and friction turned there.
-fn still_at_rest(velocity_m_s: &mut [f64], slow_m_s: f64) {
+/// Whether a place is held: what begins slowly creeps. About its ends it may ring.
+fn is_held(place_m: &[f64], sd: f64) -> bool {
+    let inner = &place_m[place_m.len() / 4..place_m.len() - place_m.len() / 4];
+    let (low, high) =
+        inner.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
+    high - low < WITHIN * sd
+}
+
+/// Where a place is held there is no velocity. What noise leaves of one is faster than usual by chance, and friction turned there. A motion that
+/// turns is slow for less than a quarter of its cycle. Tells the rests with a quarter of a cycle about each.
+fn still_at_rest(
+    velocity_m_s: &mut [f64],
+    slow_m_s: f64,
+    is_held: impl Fn(Range<usize>) -> bool,
+) -> Vec<Range<usize>> {
     let slow: Vec<bool> = velocity_m_s.iter().map(|v| v.abs() < slow_m_s).collect();
     let last = slow.len().saturating_sub(1);
     let mut about = slow.iter().take(HELD).filter(|slow| **slow).count();
-    for (n, v) in velocity_m_s.iter_mut().enumerate() {
+    let mut held = Vec::with_capacity(slow.len());
+    for n in 0..slow.len() {
         about += usize::from(n + HELD <= last && slow[n + HELD]);
         let (from, to) = (n.saturating_sub(HELD), (n + HELD).min(last));
-        if 2 * about > to - from + 1 {
-            *v = 0.0;
-        }
+        held.push(2 * about > to - from + 1);
         about -= usize::from(n >= HELD && slow[n - HELD]);
+    }
+    let moves = |n: &usize| !slow[*n] && !held[*n];
+    let (mut moving, mut turns, mut sense) = (0usize, 1usize, 0.0);
+    for n in (0..slow.len()).filter(moves) {
+        moving += 1;
+        turns += usize::from(velocity_m_s[n] * sense < 0.0);
+        sense = velocity_m_s[n];
+    }
+    let quarter = (moving / turns / 2).max(HELD);
+    let (mut from, mut rests) = (0, Vec::new());
+    for run in held.chunk_by(|a, b| a == b) {
+        let range = from..from + run.len();
+        from = range.end;
+        if run[0] && run.len() > quarter && is_held(range.clone()) {
+            velocity_m_s[range.clone()].fill(0.0);
+            rests.push(range.start.saturating_sub(quarter)..(range.end + quarter).min(held.len()));
+        }
+    }
+    rests
+}
+
+/// Corners of a velocity.
+struct Corners {
+    /// What of the velocity hangs on where its band ends, m/s, and how much of it is more than usual.
+    hangs_m_s: Vec<f64>,
+    more_m_s: f64,
+    /// Samples of half a cycle there.
+    near: f64,
+}
+
+impl Corners {
+    /// Whether each sample is away from those about rests, where a sudden start or stop rings for long; nothing where there are none, or too many.
+    fn at_the_ends_of(mut self, rests: &[Range<usize>]) -> Option<Vec<bool>> {
+        let rings = (RINGS * self.near).ceil() as usize;
+        let mut from = 0;
+        for rest in rests.iter().filter(|rest| !rest.is_empty()) {
+            self.hangs_m_s[from..rest.start.saturating_sub(rings).max(from)].fill(0.0);
+            from = (rest.end + rings).min(self.hangs_m_s.len());
+        }
+        self.hangs_m_s[from..].fill(0.0);
+        if rests.is_empty() {
+            return None;
+        }
+        // What rings is small where it turns.
+        let beyond = |times: f64| {
+            let told = |aside| away_from(&self.hangs_m_s, times * self.more_m_s, aside, self.near);
+            [self.near, 0.0].into_iter().find_map(told)
+        };
+        TIMES_AT_RESTS.into_iter().find_map(beyond)
     }
 }
 
-/// The same where it does not run along ramps.
-fn of_band(displacement: &[f64], sd: f64, rate: f64) -> Fused {
+/// The same where it does not run along ramps, with its corners.
+fn of_band(displacement: &[f64], sd: f64, rate: f64) -> (Fused, Option<Corners>) {
     let (spectrum, end) = (Spectrum::of(displacement, rate), cut_rad_s(displacement, sd, rate));
     let usual = usual_end_rad_s(displacement, sd, rate);
     let cut = usual
         .filter(|usual| *usual < WORTH * end && loses_nothing(&spectrum, *usual, end, sd))
         .unwrap_or(end);
     let fused = differentiated(&spectrum, cut, sd);
-    let (hangs, _) = between(&spectrum, cut / LOWER, cut, sd);
-    let (usual, near) = (usual_deviation(&hangs), 0.5 * TAU / cut * rate);
-    // What rings is small where it turns.
-    let told =
-        |more: &f64| [near, 0.0].into_iter().find_map(|aside| away_from(&hangs, more * usual, aside, near));
-    let velocity_is_told = FAR_MORE.iter().find_map(told);
-    let velocity_is_told = velocity_is_told.unwrap_or_else(|| vec![true; hangs.len()]);
-    Fused { velocity_is_told, ..fused }
+    let (hangs_m_s, _) = between(&spectrum, cut / LOWER, cut, sd);
+    let (more_m_s, near) = (FAR_MORE * usual_deviation(&hangs_m_s), 0.5 * TAU / cut * rate);
+    let told = [near, 0.0].into_iter().find_map(|aside| away_from(&hangs_m_s, more_m_s, aside, 0.0));
+    let velocity_is_told = told.unwrap_or_else(|| vec![true; hangs_m_s.len()]);
+    (Fused { velocity_is_told, ..fused }, Some(Corners { hangs_m_s, more_m_s, near }))
 }
 
 /// Whether each sample is away from those beyond a size by so many samples, and not between two that are no farther apart than `joined`; nothing
@@ -125,7 +193,7 @@ fn usual_end_rad_s(displacement: &[f64], sd: f64, rate: f64) -> Option<f64> {
 fn loses_nothing(spectrum: &Spectrum, usual: f64, end: f64, sd: f64) -> bool {
     let (lost, noise) = between(spectrum, usual, end, sd);
     let aside = TAU / usual * spectrum.sample_rate_hz();
-    let Some(told) = away_from(&lost, FAR_MORE[0] * noise, aside, aside) else { return false };
+    let Some(told) = away_from(&lost, FAR_MORE * noise, aside, 0.0) else { return false };
     let rest = lost.iter().zip(&told).filter(|(_, told)| **told).map(|(lost, _)| lost * lost);
     let (sum, count) = rest.fold((0.0, 0usize), |(sum, count), square| (sum + square, count + 1));
     sum <= (NOISE * noise).powi(2) * count as f64
@@ -145,14 +213,24 @@ mod tests {
         };
         let seen: Vec<f64> = (0..140).map(velocity).collect();
         let mut told = seen.clone();
-        still_at_rest(&mut told, 0.02);
+        let rests = still_at_rest(&mut told, 0.02, |_| true);
         assert!((40..90).all(|n| told[n] == 0.0));
+        assert_eq!(rests.len(), 1);
+        assert!(rests[0].contains(&26) && rests[0].contains(&104), "{rests:?}");
         assert!((0..24).chain(106..140).all(|n| told[n] == seen[n]), "{told:?}");
         for short in [vec![], vec![0.1]] {
             let mut told = short.clone();
-            still_at_rest(&mut told, 0.02);
+            still_at_rest(&mut told, 0.02, |_| true);
             assert_eq!(told, short);
         }
+    }
+
+    #[test]
+    fn what_begins_slowly_is_not_held() {
+        let noise = |n: usize| 1e-6 * (n as f64 * 2.3).sin();
+        let held: Vec<f64> = (0..2000).map(noise).collect();
+        let creeps: Vec<f64> = (0..2000).map(|n| noise(n) + 2e-8 * n as f64).collect();
+        assert!(is_held(&held, 1e-6) && !is_held(&creeps, 1e-6) && !is_held(&[], 1e-6));
     }
 
     /// Cycles of one frequency and then another, at 250 Hz, with their velocity.
