@@ -6,6 +6,7 @@ use super::slices::{Cells, Slice, Sums, nrmse};
 use super::window::Window;
 use super::{Error, NoiseFloor, StepMisfit, harmonics};
 use crate::record::Kind;
+use crate::record::quality::span;
 use crate::sweep::Direction;
 use std::ops::Range;
 
@@ -156,8 +157,8 @@ fn step(window: &Window, sums: &Sums, channels: &Channels, residual_n: Option<f6
     let (d, model_d) = (cut(&channels.measured_d), cut(&channels.model_d));
     let peak = |x: &[f64]| (!x.is_empty()).then(|| x.iter().fold(0.0, |top: f64, x| top.max(x.abs())));
     let excursion = |x: &[f64]| {
-        let range = x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
-        (!x.is_empty()).then_some(range.1 - range.0)
+        let (low, high) = span(x);
+        (!x.is_empty()).then_some(high - low)
     };
     let harmonics = |measured: &[f64], model: &[f64]| match window.frequency_hz {
         Some(f) if !measured.is_empty() => harmonics::misfit(measured, model, f, rate),

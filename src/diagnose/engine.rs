@@ -189,15 +189,16 @@ fn of_motion(
     let base = searcher.base(nominal).ok_or_else(diverges)?;
     parts::done("base model");
     let is_moved = again.late_s.iter().any(|late_s| *late_s != 0.0);
-    let error = searcher.held_out_error(&base).map(|error| error.nrmse());
+    let error = || searcher.held_out_error(&base).map(|error| error.nrmse());
     let much = if is_moved { late::SPOKEN_OF } else { late::MUCH };
     if again.on_time > BY_EXPLANATION
         && let Some(lags) = late::of_forces(&searcher, &base, much)
     {
-        let late = again.late.or(error);
+        let late = again.late.or_else(error);
         return Again { late, ..again }.put_on_time(tests, options, &lags);
     }
-    if again.late.zip(error).is_some_and(|(late, error)| error > LEFT_ON_TIME * late) {
+    let leaves_most = |late| error().is_some_and(|error| error > LEFT_ON_TIME * late);
+    if again.late.is_some_and(leaves_most) {
         let by_explanation = Again { on_time: BY_EXPLANATION + 1, late: None, ..again };
         return by_explanation.put_on_time(tests, options, again.late_s);
     }

@@ -1,6 +1,7 @@
 //! Records of a component: a motion is imposed on it, the force that takes is measured. Nothing moves freely: the model's mass is a
 //! number that force is told over, here as in all other records.
 
+use super::fused::Fused;
 use super::imposed::imposed;
 use super::jumpless::noise_beside_jumps;
 use super::motion::{Motion, MotionError, channel};
@@ -11,14 +12,11 @@ use crate::record::{Kind, Record};
 
 /// The motion that was imposed and the force it took, over the mass of the model.
 pub(super) fn motion(record: &Record, mass_kg: f64) -> Result<Motion, MotionError> {
-    let rate = record.sample_rate_hz;
-    let displacement = channel(record, &record.displacement_m, "displacement_m")?;
     let force = channel(record, &record.force_n, "force_n")?;
-    let laser_noise_m = noise_of_sensor(displacement, rate);
-    let fused = imposed(displacement, laser_noise_m, rate);
+    let (fused, laser_noise_m) = followed(record)?;
     Ok(Motion {
         restoring_m_s2: force.iter().map(|f| f / mass_kg).collect(),
-        restoring_noise_m_s2: noise_beside_jumps(force, rate) / mass_kg,
+        restoring_noise_m_s2: noise_beside_jumps(force, record.sample_rate_hz) / mass_kg,
         laser_noise_m,
         ..fused.motion(record)
     })
@@ -30,10 +28,15 @@ pub(super) fn motion(record: &Record, mass_kg: f64) -> Result<Motion, MotionErro
 /// # Errors
 /// A channel that is missing.
 pub fn imposed_on_component(record: &Record) -> Result<[Vec<f64>; 2], MotionError> {
-    let displacement = channel(record, &record.displacement_m, "displacement_m")?;
-    let rate = record.sample_rate_hz;
-    let fused = imposed(displacement, noise_of_sensor(displacement, rate), rate);
+    let (fused, _) = followed(record)?;
     Ok([fused.displacement_m, fused.velocity_m_s])
+}
+
+/// What is imposed, with the noise of its sensor (m rms).
+fn followed(record: &Record) -> Result<(Fused, f64), MotionError> {
+    let displacement = channel(record, &record.displacement_m, "displacement_m")?;
+    let noise_m = noise_of_sensor(displacement, record.sample_rate_hz);
+    Ok((imposed(displacement, noise_m, record.sample_rate_hz), noise_m))
 }
 
 /// The motion that a component's force answers, where that comes so much later than the motion as it was recorded (s, below zero earlier): along

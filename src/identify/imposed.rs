@@ -5,6 +5,7 @@
 use super::fused::{Fused, cut_rad_s, differentiated, passes};
 use super::jumpless::usual_deviation;
 use super::ramps;
+use crate::record::quality::span;
 use crate::signal::Spectrum;
 use realfft::num_complex::Complex64;
 use std::f64::consts::TAU;
@@ -39,7 +40,10 @@ const NOISE: f64 = 1.1;
 pub(super) fn imposed(displacement: &[f64], sd: f64, rate: f64) -> Fused {
     let (mut fused, corners) = match ramps::examine(displacement, sd, rate) {
         Some(ramps) => (Fused::of_ramps(ramps), None),
-        None => of_band(displacement, sd, rate),
+        None => {
+            let (fused, corners) = of_band(displacement, sd, rate);
+            (fused, Some(corners))
+        }
     };
     let (place, velocity) = (&fused.displacement_m, &mut fused.velocity_m_s);
     let rests = still_at_rest(velocity, SLOW * fused.velocity_noise_m_s, |run| is_held(&place[run], sd));
@@ -52,8 +56,7 @@ pub(super) fn imposed(displacement: &[f64], sd: f64, rate: f64) -> Fused {
 /// Whether a place is held: what begins slowly creeps. About its ends it may ring.
 fn is_held(place_m: &[f64], sd: f64) -> bool {
     let inner = &place_m[place_m.len() / 4..place_m.len() - place_m.len() / 4];
-    let (low, high) =
-        inner.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
+    let (low, high) = span(inner);
     high - low < WITHIN * sd
 }
 
@@ -106,16 +109,16 @@ struct Corners {
 impl Corners {
     /// Whether each sample is away from those about rests, where a sudden start or stop rings for long; nothing where there are none, or too many.
     fn at_the_ends_of(mut self, rests: &[Range<usize>]) -> Option<Vec<bool>> {
+        if rests.is_empty() {
+            return None;
+        }
         let rings = (RINGS * self.near).ceil() as usize;
         let mut from = 0;
-        for rest in rests.iter().filter(|rest| !rest.is_empty()) {
+        for rest in rests {
             self.hangs_m_s[from..rest.start.saturating_sub(rings).max(from)].fill(0.0);
             from = (rest.end + rings).min(self.hangs_m_s.len());
         }
         self.hangs_m_s[from..].fill(0.0);
-        if rests.is_empty() {
-            return None;
-        }
         // What rings is small where it turns.
         let beyond = |times: f64| {
             let told = |aside| away_from(&self.hangs_m_s, times * self.more_m_s, aside, self.near);
@@ -126,7 +129,7 @@ impl Corners {
 }
 
 /// The same where it does not run along ramps, with its corners.
-fn of_band(displacement: &[f64], sd: f64, rate: f64) -> (Fused, Option<Corners>) {
+fn of_band(displacement: &[f64], sd: f64, rate: f64) -> (Fused, Corners) {
     let (spectrum, end) = (Spectrum::of(displacement, rate), cut_rad_s(displacement, sd, rate));
     let usual = usual_end_rad_s(displacement, sd, rate);
     let cut = usual
@@ -137,7 +140,7 @@ fn of_band(displacement: &[f64], sd: f64, rate: f64) -> (Fused, Option<Corners>)
     let (more_m_s, near) = (FAR_MORE * usual_deviation(&hangs_m_s), 0.5 * TAU / cut * rate);
     let told = [near, 0.0].into_iter().find_map(|aside| away_from(&hangs_m_s, more_m_s, aside, 0.0));
     let velocity_is_told = told.unwrap_or_else(|| vec![true; hangs_m_s.len()]);
-    (Fused { velocity_is_told, ..fused }, Some(Corners { hangs_m_s, more_m_s, near }))
+    (Fused { velocity_is_told, ..fused }, Corners { hangs_m_s, more_m_s, near })
 }
 
 /// Whether each sample is away from those beyond a size by so many samples, and not between two that are no farther apart than `joined`; nothing

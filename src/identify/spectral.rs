@@ -1,7 +1,7 @@
 //! Noise of a channel from its spectrum, and what a solver that joins samples by straight lines is to be given.
 
 use super::motion::{FINEST, rms};
-use crate::record::quality::quantum;
+use crate::record::quality::of_rounding;
 use crate::signal::Spectrum;
 use realfft::num_complex::Complex64;
 
@@ -104,8 +104,7 @@ pub fn noise_of_sensor(x: &[f64], sample_rate_hz: f64) -> f64 {
 
 /// So much, or what no sensor does better than.
 fn at_least(noise: f64, x: &[f64]) -> f64 {
-    let (low, high) = x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
-    noise.max(FINEST * rms(x)).max(quantum(x, high - low) / 12f64.sqrt())
+    noise.max(FINEST * rms(x)).max(of_rounding(x))
 }
 
 /// Stretches that show less than this share of what the whole channel does tell its noise: the rest is not noise.

@@ -214,7 +214,7 @@ pub(super) fn dies_out(motion: &[f64]) -> bool {
 }
 
 /// Smallest and largest value, by lanes that do not wait for each other.
-fn span(values: &[f64]) -> (f64, f64) {
+pub(crate) fn span(values: &[f64]) -> (f64, f64) {
     const LANES: usize = 8;
     let (mut low, mut high) = ([f64::INFINITY; LANES], [f64::NEG_INFINITY; LANES]);
     let rows = values.chunks_exact(LANES);
@@ -302,8 +302,14 @@ fn comes_to_rest(values: &[f64], level: f64) -> bool {
     speeds.get(speeds.len() / 2).is_some_and(|speed| *speed < SLOW * usual)
 }
 
+/// Deviation of what the steps of a converter do to a channel.
+pub(crate) fn of_rounding(values: &[f64]) -> f64 {
+    let (low, high) = span(values);
+    quantum(values, high - low) / 12f64.sqrt()
+}
+
 /// Smallest difference between neighbours, the step of a converter; rounding of doubles is none.
-pub(crate) fn quantum(values: &[f64], range: f64) -> f64 {
+fn quantum(values: &[f64], range: f64) -> f64 {
     let least = 1e-9 * range;
     values
         .windows(2)

@@ -2,7 +2,7 @@
 //! displacement is smooth, and what its acceleration shows in such a time has to show as a bend of the displacement.
 
 use super::{Record, Role};
-use crate::record::quality::{deviation_by_median, one_of};
+use crate::record::quality::{deviation_by_median, of_rounding, one_of};
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
@@ -92,20 +92,12 @@ fn fourths(x: &[f64]) -> Vec<f64> {
     x.windows(5).map(|w| w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4]).collect()
 }
 
-/// Deviation of what rounding does to a channel that is told in whole counts: at rest nothing else is seen of it. Of one that is not, next
-/// to nothing.
-fn rounding(x: &[f64]) -> f64 {
-    let steps = || x.windows(2).map(|pair| (pair[1] - pair[0]).abs());
-    let largest = steps().fold(0.0, f64::max);
-    let count = steps().filter(|step| *step > 1e-9 * largest).fold(largest, f64::min);
-    count / 12f64.sqrt()
-}
-
 /// Samples far from what runs through those beside them, where those fit together.
 fn standing_alone(x: &[f64]) -> Vec<Spike> {
     let differences = fourths(x);
     let usual = deviation_by_median(differences.iter().copied().step_by(one_of(differences.len())));
-    let usual = usual.max(rounding(x) * 70f64.sqrt());
+    // Of a channel that is told in whole counts nothing but those is seen at rest.
+    let usual = usual.max(of_rounding(x) * 70f64.sqrt());
     let mut out: Vec<Spike> = Vec::new();
     if usual == 0.0 || !usual.is_finite() {
         return out;
