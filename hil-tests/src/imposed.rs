@@ -51,14 +51,50 @@ pub fn nominal(rig: Rig) -> ModelSpec {
 }
 
 /// Hysteresis of Bouc and Wen beside a rig's spring and dashpot: stiffness N/m, yield displacement m, sharpness and unloading shape.
-pub fn hysteresis(rig: Rig, [kh, dy, n, gamma]: [f64; 4], seed: u64) -> Record {
+pub fn hysteresis(rig: Rig, shape: [f64; 4], seed: u64) -> Record {
+    record("hysteresis", rig, seed, yielding(rig, shape))
+}
+
+/// The same in runs of cycles that swell and fade, with rests of seconds between them.
+pub fn hysteresis_between_rests(rig: Rig, shape: [f64; 4], seed: u64) -> Record {
+    const RUNS: [(f64, f64); 5] = [(0.7, 0.006), (1.1, 0.012), (0.5, 0.004), (0.9, 0.015), (1.4, 0.008)];
+    const CYCLES: f64 = 5.0;
+    let place = |t: f64| {
+        // Twelve seconds for each, the last ones at rest.
+        let (frequency_hz, amplitude_m) = RUNS[(t / 12.0) as usize % RUNS.len()];
+        let turns = frequency_hz * (t % 12.0);
+        let swells = turns.min(CYCLES - turns).clamp(0.0, 0.5);
+        amplitude_m * (TAU * turns).sin() * (0.5 * TAU * swells).sin().powi(2)
+    };
+    along("between rests", rig, place, seed, yielding(rig, shape))
+}
+
+/// What a rig's spring and dashpot take beside a hysteresis of Bouc and Wen, from one place to the next one.
+fn yielding(rig: Rig, [kh, dy, n, gamma]: [f64; 4]) -> impl FnMut([f64; 2], f64) -> f64 {
     let mut z = 0.0_f64;
-    record("hysteresis", rig, seed, move |[x0, x1], h_s| {
+    move |[x0, x1], h_s| {
         let slope =
             |z: f64| 1.0 - ((1.0 - gamma) * ((x1 - x0) * z).signum() + gamma) * (z / dy).abs().powf(n);
         let half = z + 0.5 * (x1 - x0) * slope(z);
         z += (x1 - x0) * slope(half);
         rig.stiffness_n_m * x1 + rig.damping_n_s_m * (x1 - x0) / h_s + kh * z
+    }
+}
+
+/// A Maxwell branch, N/m and s, beside a rig's spring and dashpot, pressed to eight places and held at each for seconds.
+pub fn pressed_and_held(rig: Rig, [km, tau_s]: [f64; 2], seed: u64) -> Record {
+    const PLACES_M: [f64; 9] = [0.0, 0.01, 0.004, 0.012, 0.016, 0.008, 0.0, -0.006, 0.0];
+    let place = |t: f64| {
+        let at = t / 60.0 * (PLACES_M.len() - 1) as f64;
+        let before = (at as usize).min(PLACES_M.len() - 2);
+        let part = (8.0 * at.fract()).min(1.0);
+        PLACES_M[before] + part * (PLACES_M[before + 1] - PLACES_M[before])
+    };
+    let mut branch_m = 0.0;
+    along("held", rig, place, seed, move |[x0, x1], h_s| {
+        let decays = (-h_s / tau_s).exp();
+        branch_m = branch_m * decays + tau_s * (1.0 - decays) * (x1 - x0) / h_s;
+        rig.stiffness_n_m * x1 + rig.damping_n_s_m * (x1 - x0) / h_s + km * branch_m
     })
 }
 
@@ -139,17 +175,28 @@ pub fn rested(rig: Rig, friction_n: f64, rest_s: f64, seed: u64) -> Record {
     out
 }
 
-/// Waves of 0.2 to 1.8 Hz and some millimetres for a minute, the force of each fine step told by what a component makes of both its ends.
-fn record(name: &str, rig: Rig, seed: u64, mut component: impl FnMut([f64; 2], f64) -> f64) -> Record {
+/// Waves of 0.2 to 1.8 Hz and some millimetres for a minute.
+fn record(name: &str, rig: Rig, seed: u64, component: impl FnMut([f64; 2], f64) -> f64) -> Record {
     let mut random = Pcg64::seed_from_u64(seed);
     let waves: Vec<(f64, f64)> =
         (0..40).map(|_| (TAU * random.random_range(0.2..1.8), random.random_range(0.0..TAU))).collect();
+    // It begins at rest.
+    let place =
+        |t: f64| t.min(1.0) * 4e-4 * waves.iter().map(|(w, phase)| (w * t + phase).sin()).sum::<f64>();
+    along(name, rig, place, random.random(), component)
+}
+
+/// A minute along places (m at s), the force of each fine step told by what a component makes of both its ends.
+fn along(
+    name: &str,
+    rig: Rig,
+    place: impl Fn(f64) -> f64,
+    seed: u64,
+    mut component: impl FnMut([f64; 2], f64) -> f64,
+) -> Record {
+    let mut random = Pcg64::seed_from_u64(seed);
     let h_s = 1.0 / (RATE_HZ * FINE as f64);
-    let place = |i: usize| {
-        let t = i as f64 * h_s;
-        // It begins at rest.
-        t.min(1.0) * 4e-4 * waves.iter().map(|(w, phase)| (w * t + phase).sin()).sum::<f64>()
-    };
+    let place = |i: usize| place(i as f64 * h_s);
     let (mut x, mut late) = (place(0), 0.0);
     let mut out = Record::empty(name, Kind::Component, RATE_HZ);
     for i in 0..SAMPLES {

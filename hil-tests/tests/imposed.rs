@@ -1,7 +1,8 @@
 //! The diagnosis on components of other rigs: a displacement imposed, a force measured.
 
 use hil_tests::imposed::{
-    DASHPOT, FREE_DASHPOT, Rig, SPRING, friction, growing, hysteresis, joint, nominal, rested, stepped,
+    DASHPOT, FREE_DASHPOT, Rig, SPRING, friction, growing, hysteresis, hysteresis_between_rests, joint,
+    nominal, pressed_and_held, rested, stepped,
 };
 use shaketable::compare::compare;
 use shaketable::diagnose::adding::add;
@@ -192,6 +193,31 @@ fn friction_that_holds_through_rests_is_no_hysteresis() {
         assert!((fc.value - 600.0).abs() < 6.0, "{fc:?}");
         assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
     }
+}
+
+#[test]
+fn a_hysteresis_between_rests_is_told_alone() {
+    // Noise about a place that is held turned it to and fro until it had forgotten its force.
+    let rig = Rig { displacement_noise_m: 1e-5, ..SPRING };
+    let found =
+        found(&hysteresis_between_rests(rig, [2e5, 1.4e-3, 1.0, 0.5], 24), rig, "bouc-wen-hysteresis");
+    for (name, truth) in [("kh_n_m", 2e5), ("dy_m", 1.4e-3)] {
+        let told = &found.effects[0].parameters[name];
+        assert!((told.value / truth - 1.0).abs() < 0.03, "{name}: {told:?}");
+    }
+    assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+}
+
+#[test]
+fn what_relaxes_while_it_is_held_is_told_to_a_hundredth() {
+    // Holds did not count, and a record without three cycles was none.
+    let rig = Rig { displacement_noise_m: 1e-5, ..SPRING };
+    let found = found(&pressed_and_held(rig, [8e4, 2.0], 25), rig, "maxwell-branch");
+    for (name, truth) in [("km_n_m", 8e4), ("tau_s", 2.0)] {
+        let told = &found.effects[0].parameters[name];
+        assert!((told.value / truth - 1.0).abs() < 0.01, "{name}: {told:?}");
+    }
+    assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
 }
 
 #[test]

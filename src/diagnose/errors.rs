@@ -89,7 +89,9 @@ impl Searcher<'_> {
         let mut left: Vec<(f64, f64)> = Vec::new();
         for (k, window) in self.motion.windows.iter().enumerate() {
             let samples = problem.samples(window).zip(&modelled[k]).enumerate();
-            let counted = samples.filter(|(i, _)| problem.weight(k, *i) > 0.0);
+            // What friction holds at rest is no drift.
+            let counted =
+                samples.filter(|(i, (n, _))| problem.weight(k, *i) > 0.0 && !self.motion.is_held_at(*n));
             left.extend(counted.map(|(_, (n, model))| (n as f64, force[n] - model)));
         }
         let count = left.len().max(1) as f64;

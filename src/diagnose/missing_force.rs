@@ -121,7 +121,7 @@ fn residual(problem: &Problem<'_>, refit: &Refit, part: Part) -> Option<Vec<Samp
     let length = motion.displacement_m.len().max(1) as f64;
     let mut out = Vec::new();
     for (k, window) in motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w)) {
-        for (i, n) in window.range.clone().step_by(problem.thin).enumerate() {
+        for (i, n) in problem.samples(window).enumerate() {
             let d = motion.displacement_m[n] + refit.zero_m;
             out.push(Sample {
                 d,

@@ -103,7 +103,7 @@ impl Basis {
             let mut memory = Memory::new(self, dt);
             let warm = (window.warm_from..window.range.start).step_by(problem.thin);
             warm.for_each(|n| memory.step(motion.displacement_m[n], motion.velocity_m_s[n]));
-            for (i, n) in window.range.clone().step_by(problem.thin).enumerate() {
+            for (i, n) in problem.samples(window).enumerate() {
                 let (d, v) = (motion.displacement_m[n], motion.velocity_m_s[n]);
                 memory.step(d, v);
                 let weight = problem.weight(k, i);
@@ -116,7 +116,7 @@ impl Basis {
                     each(&row, residuals[at + i]);
                 }
             }
-            at += window.range.clone().step_by(problem.thin).count();
+            at += problem.samples(window).count();
         }
     }
 

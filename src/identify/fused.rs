@@ -25,6 +25,8 @@ pub(super) struct Fused {
     pub(super) acceleration_noise_m_s2: f64,
     /// Whether each sample of the velocity is told, of what is imposed; else nothing.
     pub(super) velocity_is_told: Vec<bool>,
+    /// Whether each sample is held where it is, of what is imposed; else nothing.
+    pub(super) is_held: Vec<bool>,
 }
 
 impl Fused {
@@ -33,6 +35,7 @@ impl Fused {
         Self {
             acceleration_m_s2: vec![0.0; ramps.displacement_m.len()],
             velocity_is_told: vec![true; ramps.displacement_m.len()],
+            is_held: Vec::new(),
             acceleration_noise_m_s2: 0.0,
             displacement_m: ramps.displacement_m,
             velocity_m_s: ramps.velocity_m_s,
@@ -53,6 +56,7 @@ impl Fused {
             displacement_m: self.displacement_m,
             velocity_m_s: self.velocity_m_s,
             velocity_is_told: self.velocity_is_told,
+            is_held: self.is_held,
             restoring_m_s2: Vec::new(),
             drive_m_s2: Vec::new(),
             seen_drive_m_s2: Vec::new(),
@@ -148,6 +152,7 @@ fn derivatives(spectrum: &Spectrum, density: impl Fn(f64) -> f64 + Sync) -> Fuse
         velocity_noise_m_s: velocity.1,
         acceleration_noise_m_s2: acceleration.1,
         velocity_is_told: Vec::new(),
+        is_held: Vec::new(),
     }
 }
 

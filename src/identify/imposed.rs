@@ -16,8 +16,8 @@ const LOWER: f64 = 1.5;
 const FAR_MORE: f64 = 6.0;
 /// Half cycles of where the band ends that a sudden start rings for, at most.
 const RINGS: f64 = 16.0;
-/// So many times that about rests, the first that leaves but a few samples there.
-const TIMES_AT_RESTS: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
+/// So many times that, the first that leaves but a few samples at corners.
+const TIMES: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
 /// Largest share of the samples that lies beside corners: more, and that is how the motion is.
 const AT_CORNERS: f64 = 0.1;
 /// Pieces of a record that are looked at for where the motion usually ends, samples in one at least and pieces at least; bins that are looked
@@ -27,9 +27,11 @@ const LEAST_SAMPLES: usize = 128;
 const LEAST_PIECES: usize = 8;
 const BINS: usize = 4;
 const ABOVE: f64 = 4.0;
-/// Velocity over its noise below which its sense is not known; samples on each side of one, most of which are as slow where a place is held.
+/// Velocity over its noise below which its sense is not known, and a place over its own within which it is at rest; samples on each side of one, most of which are as slow where a place is held.
 const SLOW: f64 = 3.0;
 const HELD: usize = 8;
+/// What rings beside a rest is faster than that by so much.
+const BESIDE_RESTS: f64 = 3.0;
 /// What is left of noise moves a place that is held by less than so many deviations of it.
 const WITHIN: f64 = 6.0;
 /// Share of the band that has to be gained, and rms over that of noise of what is given up at most.
@@ -45,56 +47,110 @@ pub(super) fn imposed(displacement: &[f64], sd: f64, rate: f64) -> Fused {
             (fused, Some(corners))
         }
     };
-    let (place, velocity) = (&fused.displacement_m, &mut fused.velocity_m_s);
-    let rests = still_at_rest(velocity, SLOW * fused.velocity_noise_m_s, |run| is_held(&place[run], sd));
-    if let Some(away) = corners.and_then(|corners| corners.at_the_ends_of(&rests)) {
+    let rests = still_at_rest(&mut fused, sd);
+    let about = rests.with_about();
+    if let Some(away) = corners.and_then(|corners| corners.at_the_ends_of(&about)) {
         fused.velocity_is_told.iter_mut().zip(away).for_each(|(told, away)| *told &= away);
     }
+    let slow_m_s = BESIDE_RESTS * SLOW * fused.velocity_noise_m_s;
+    for n in about.into_iter().flatten() {
+        fused.velocity_is_told[n] &= fused.velocity_m_s[n].abs() > slow_m_s;
+    }
+    fused.is_held = rests.is_held();
+    fused.velocity_is_told.iter_mut().zip(&fused.is_held).for_each(|(told, held)| *told |= held);
     fused
 }
 
-/// Whether a place is held: what begins slowly creeps. About its ends it may ring.
-fn is_held(place_m: &[f64], sd: f64) -> bool {
-    let inner = &place_m[place_m.len() / 4..place_m.len() - place_m.len() / 4];
-    let (low, high) = span(inner);
-    high - low < WITHIN * sd
+/// Where a place is held, and samples of a quarter of a cycle elsewhere.
+struct Rests {
+    held: Vec<Range<usize>>,
+    quarter: usize,
+    samples: usize,
+}
+
+impl Rests {
+    /// With a quarter of a cycle about each.
+    fn with_about(&self) -> Vec<Range<usize>> {
+        let about = |held: &Range<usize>| {
+            held.start.saturating_sub(self.quarter)..(held.end + self.quarter).min(self.samples)
+        };
+        self.held.iter().map(about).collect()
+    }
+
+    /// Whether each sample is held.
+    fn is_held(&self) -> Vec<bool> {
+        let mut is_held = vec![false; self.samples];
+        self.held.iter().for_each(|held| is_held[held.clone()].fill(true));
+        is_held
+    }
 }
 
 /// Where a place is held there is no velocity. What noise leaves of one is faster than usual by chance, and friction turned there. A motion that
-/// turns is slow for less than a quarter of its cycle. Tells the rests with a quarter of a cycle about each.
-fn still_at_rest(
-    velocity_m_s: &mut [f64],
-    slow_m_s: f64,
-    is_held: impl Fn(Range<usize>) -> bool,
-) -> Vec<Range<usize>> {
+/// turns is slow for less than a quarter of its cycle.
+fn still_at_rest(fused: &mut Fused, sd: f64) -> Rests {
+    let (place_m, velocity_m_s) = (&mut fused.displacement_m, &mut fused.velocity_m_s);
+    let stays = |place_m: &[f64]| {
+        let (low, high) = span(place_m);
+        high - low < WITHIN * sd
+    };
+    let slow_m_s = SLOW * fused.velocity_noise_m_s;
     let slow: Vec<bool> = velocity_m_s.iter().map(|v| v.abs() < slow_m_s).collect();
-    let last = slow.len().saturating_sub(1);
+    let samples = slow.len();
+    let last = samples.saturating_sub(1);
     let mut about = slow.iter().take(HELD).filter(|slow| **slow).count();
-    let mut held = Vec::with_capacity(slow.len());
-    for n in 0..slow.len() {
+    let mut mostly = Vec::with_capacity(samples);
+    for n in 0..samples {
         about += usize::from(n + HELD <= last && slow[n + HELD]);
         let (from, to) = (n.saturating_sub(HELD), (n + HELD).min(last));
-        held.push(2 * about > to - from + 1);
+        mostly.push(2 * about > to - from + 1);
         about -= usize::from(n >= HELD && slow[n - HELD]);
     }
-    let moves = |n: &usize| !slow[*n] && !held[*n];
+    let moves = |n: &usize| !slow[*n] && !mostly[*n];
     let (mut moving, mut turns, mut sense) = (0usize, 1usize, 0.0);
-    for n in (0..slow.len()).filter(moves) {
+    for n in (0..samples).filter(moves) {
         moving += 1;
         turns += usize::from(velocity_m_s[n] * sense < 0.0);
         sense = velocity_m_s[n];
     }
     let quarter = (moving / turns / 2).max(HELD);
-    let (mut from, mut rests) = (0, Vec::new());
-    for run in held.chunk_by(|a, b| a == b) {
+    // What is faster by chance for a while, or rings at the ends of the record, goes nowhere.
+    let goes_on = |from: usize, to: usize| {
+        to.saturating_sub(from) <= quarter && stays(&place_m[from.saturating_sub(1)..(to + 1).min(samples)])
+    };
+    let (mut from, mut held) = (0, Vec::<Range<usize>>::new());
+    for run in mostly.chunk_by(|a, b| a == b) {
         let range = from..from + run.len();
         from = range.end;
-        if run[0] && run.len() > quarter && is_held(range.clone()) {
-            velocity_m_s[range.clone()].fill(0.0);
-            rests.push(range.start.saturating_sub(quarter)..(range.end + quarter).min(held.len()));
+        match held.last_mut() {
+            _ if !run[0] => {}
+            Some(before) if goes_on(before.end, range.start) => before.end = range.end,
+            _ => held.push(range),
         }
     }
-    rests
+    // What begins slowly creeps. About its ends a place may ring.
+    let inner = |range: &Range<usize>| range.start + range.len() / 4..range.end - range.len() / 4;
+    held.retain(|range| range.len() > quarter && stays(&place_m[inner(range)]));
+    if let Some(first) = held.first_mut().filter(|range| goes_on(0, range.start)) {
+        first.start = 0;
+    }
+    if let Some(end) = held.last_mut().filter(|range| goes_on(range.end, samples)) {
+        end.end = samples;
+    }
+    for range in &mut held {
+        let place = &place_m[inner(range)];
+        let mean_m = place.iter().sum::<f64>() / place.len().max(1) as f64;
+        // It comes to rest later than its velocity is slow, and nothing of its way is lost.
+        let is_there = |n: &usize| (place_m[*n] - mean_m).abs() < SLOW * fused.displacement_noise_m;
+        let first = if range.start == 0 { Some(0) } else { range.clone().find(is_there) };
+        let last = if range.end == samples { Some(last) } else { range.clone().rfind(is_there) };
+        if let (Some(first), Some(last)) = (first, last) {
+            *range = first..last + 1;
+        }
+        // A hysteresis creeps where noise turns it to and fro.
+        place_m[range.clone()].fill(mean_m);
+        velocity_m_s[range.clone()].fill(0.0);
+    }
+    Rests { held, quarter, samples }
 }
 
 /// Corners of a velocity.
@@ -120,11 +176,16 @@ impl Corners {
         }
         self.hangs_m_s[from..].fill(0.0);
         // What rings is small where it turns.
-        let beyond = |times: f64| {
-            let told = |aside| away_from(&self.hangs_m_s, times * self.more_m_s, aside, self.near);
+        self.away(self.near)
+    }
+
+    /// Whether each sample is away from all of them; nothing where they are everywhere.
+    fn away(&self, joined: f64) -> Option<Vec<bool>> {
+        let told = |size: f64| {
+            let told = |aside| away_from(&self.hangs_m_s, size, aside, joined);
             [self.near, 0.0].into_iter().find_map(told)
         };
-        TIMES_AT_RESTS.into_iter().find_map(beyond)
+        TIMES.into_iter().find_map(|times| told(times * self.more_m_s))
     }
 }
 
@@ -137,10 +198,10 @@ fn of_band(displacement: &[f64], sd: f64, rate: f64) -> (Fused, Corners) {
         .unwrap_or(end);
     let fused = differentiated(&spectrum, cut, sd);
     let (hangs_m_s, _) = between(&spectrum, cut / LOWER, cut, sd);
-    let (more_m_s, near) = (FAR_MORE * usual_deviation(&hangs_m_s), 0.5 * TAU / cut * rate);
-    let told = [near, 0.0].into_iter().find_map(|aside| away_from(&hangs_m_s, more_m_s, aside, 0.0));
-    let velocity_is_told = told.unwrap_or_else(|| vec![true; hangs_m_s.len()]);
-    (Fused { velocity_is_told, ..fused }, Corners { hangs_m_s, more_m_s, near })
+    let more_m_s = FAR_MORE * usual_deviation(&hangs_m_s);
+    let corners = Corners { hangs_m_s, more_m_s, near: 0.5 * TAU / cut * rate };
+    let velocity_is_told = corners.away(0.0).unwrap_or_else(|| vec![true; displacement.len()]);
+    (Fused { velocity_is_told, ..fused }, corners)
 }
 
 /// Whether each sample is away from those beyond a size by so many samples, and not between two that are no farther apart than `joined`; nothing
@@ -204,6 +265,7 @@ fn loses_nothing(spectrum: &Spectrum, usual: f64, end: f64, sd: f64) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use super::super::fused::differentiate;
     use super::*;
     use rand::{SeedableRng, prelude::Distribution};
 
@@ -215,25 +277,24 @@ mod tests {
             _ => 0.1 * (n as f64 / 20.0 * TAU).sin(),
         };
         let seen: Vec<f64> = (0..140).map(velocity).collect();
-        let mut told = seen.clone();
-        let rests = still_at_rest(&mut told, 0.02, |_| true);
-        assert!((40..90).all(|n| told[n] == 0.0));
-        assert_eq!(rests.len(), 1);
-        assert!(rests[0].contains(&26) && rests[0].contains(&104), "{rests:?}");
-        assert!((0..24).chain(106..140).all(|n| told[n] == seen[n]), "{told:?}");
-        for short in [vec![], vec![0.1]] {
-            let mut told = short.clone();
-            still_at_rest(&mut told, 0.02, |_| true);
-            assert_eq!(told, short);
-        }
-    }
-
-    #[test]
-    fn what_begins_slowly_is_not_held() {
-        let noise = |n: usize| 1e-6 * (n as f64 * 2.3).sin();
-        let held: Vec<f64> = (0..2000).map(noise).collect();
-        let creeps: Vec<f64> = (0..2000).map(|n| noise(n) + 2e-8 * n as f64).collect();
-        assert!(is_held(&held, 1e-6) && !is_held(&creeps, 1e-6));
+        // A millimetre of noise in the velocity, and so little in the place that what moves by more is on its way.
+        let motion = |place_m: &dyn Fn(usize) -> f64| Fused {
+            displacement_m: (0..seen.len()).map(place_m).collect(),
+            displacement_noise_m: 1e-4,
+            velocity_noise_m_s: 0.02 / SLOW,
+            velocity_m_s: seen.clone(),
+            ..differentiate(&[0.0; 140], 1e-3, 250.0)
+        };
+        let mut rests_there = motion(&|n| if (34..96).contains(&n) { 0.0 } else { 1e-2 });
+        let rests = still_at_rest(&mut rests_there, 1e-3);
+        let is_held = rests.is_held();
+        assert!((34..96).all(|n| rests_there.velocity_m_s[n] == 0.0 && is_held[n]));
+        assert!((0..34).chain(96..140).all(|n| rests_there.velocity_m_s[n] == seen[n] && !is_held[n]));
+        let [about] = &rests.with_about()[..] else { panic!("{:?}", rests.held) };
+        assert_eq!(*about, 26..104);
+        // What creeps is not held.
+        let mut creeps = motion(&|n| 1e-3 * n as f64);
+        assert!(still_at_rest(&mut creeps, 1e-3).held.is_empty() && creeps.velocity_m_s == seen);
     }
 
     /// Cycles of one frequency and then another, at 250 Hz, with their velocity.

@@ -90,6 +90,8 @@ pub struct Motion {
     /// Whether each sample of that is told, of the motion that is imposed on a component: not beside corners that its noise hides. Empty for the
     /// other kinds.
     pub(super) velocity_is_told: Vec<bool>,
+    /// Whether each sample is held where it is, of the motion that is imposed on a component. Empty for the other kinds.
+    pub(super) is_held: Vec<bool>,
     /// Restoring force over the mass, m/s2. Opposes positive motion.
     pub restoring_m_s2: Vec<f64>,
     /// What drives a simulation: the table acceleration that is equivalent to the input, m/s2.
@@ -251,6 +253,11 @@ impl Motion {
     /// What drives a simulation at a sample, as the restoring force has it, m/s2.
     pub(super) fn seen_to_drive_m_s2(&self, n: usize) -> f64 {
         self.seen_drive_m_s2.get(n).copied().unwrap_or_else(|| self.drive_m_s2[n])
+    }
+
+    /// Whether a component is held where it is at a sample.
+    pub fn is_held_at(&self, n: usize) -> bool {
+        self.is_held.get(n) == Some(&true)
     }
 
     /// RMS of the restoring force over the mass in the windows, m/s2.

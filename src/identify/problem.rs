@@ -119,7 +119,13 @@ impl<'a> Problem<'a> {
 
     /// Samples of a window that are looked at.
     pub fn samples(&self, window: &Window) -> impl Iterator<Item = usize> + use<> {
-        window.range.clone().step_by(self.thin)
+        (self.first(window)..window.range.end).step_by(self.thin)
+    }
+
+    /// The first of them: of a component those of one window go on where those of the one before end, and no memory is lost there.
+    fn first(&self, window: &Window) -> usize {
+        let start = window.range.start;
+        if self.motion.kind == Kind::Component { start.next_multiple_of(self.thin) } else { start }
     }
 
     /// Restoring force over the mass of the model along the measured motion, by window, the
@@ -146,13 +152,11 @@ impl<'a> Problem<'a> {
             }
             let specimen = &mut *specimens[window.source];
             // Neighbouring windows continue where the last one ended; others are warmed up.
-            let from = if at == (window.range.start, window.source) {
-                window.range.start
-            } else {
-                self.warm(specimen, window, shift_m)
-            };
+            let mut n = self.first(window);
+            if at != (n, window.source) {
+                self.warm(specimen, window, shift_m);
+            }
             let mut forces = Vec::with_capacity(window.range.len() / self.thin + 1);
-            let mut n = from;
             while n < window.range.end {
                 let response = specimen.impose(motion.displacement_m[n] + shift_m, motion.velocity_m_s[n]);
                 let more = if lighter == 0.0 { 0.0 } else { lighter * motion.seen_to_drive_m_s2(n) };
@@ -176,11 +180,12 @@ impl<'a> Problem<'a> {
         self.motion.sources[window.source].time_s(sample, self.motion.dt_s())
     }
 
-    /// Imposes the motion before a window; returns its first sample.
-    fn warm(&self, specimen: &mut dyn Specimen, window: &Window, shift_m: f64) -> usize {
+    /// Imposes the motion before a window.
+    fn warm(&self, specimen: &mut dyn Specimen, window: &Window, shift_m: f64) {
         let motion = self.motion;
-        let steps = (window.range.start - window.warm_from) / self.thin;
-        let first = window.range.start - steps * self.thin;
+        let start = self.first(window);
+        let steps = (start - window.warm_from) / self.thin;
+        let first = start - steps * self.thin;
         specimen.reset();
         specimen.set_time_s(self.time_s(window, first));
         motion.retrace(specimen, window, first, shift_m);
@@ -188,7 +193,6 @@ impl<'a> Problem<'a> {
             let n = first + i * self.thin;
             specimen.impose(motion.displacement_m[n] + shift_m, motion.velocity_m_s[n]);
         }
-        window.range.start
     }
 
     /// Measured minus modelled restoring force in units of its noise, over the windows of a part.
@@ -198,10 +202,10 @@ impl<'a> Problem<'a> {
         let Some(modelled) = self.restoring(spec, shift_m, part) else { return false };
         for (k, window) in self.motion.windows.iter().enumerate().filter(|(k, _)| self.takes(part, *k)) {
             let begin = out.len();
-            for (i, n) in self.samples(window).enumerate() {
-                let weight = self.weights[k][i];
-                out.push(weight * (self.motion.restoring_m_s2[n] - modelled[k][i]));
-            }
+            let measured = self.samples(window).map(|n| self.motion.restoring_m_s2[n]);
+            out.extend(measured.zip(&modelled[k]).map(|(measured, modelled)| measured - modelled));
+            self.take_out_holds(k, &mut out[begin..]);
+            out[begin..].iter_mut().zip(&self.weights[k]).for_each(|(r, weight)| *r *= weight);
             self.take_out_drift(k, &mut out[begin..]);
         }
         self.take_out_leak(part, out);

@@ -165,6 +165,7 @@ impl Motion {
         self.displacement_m.extend(part.displacement_m);
         self.velocity_m_s.extend(part.velocity_m_s);
         self.velocity_is_told.extend(part.velocity_is_told);
+        self.is_held.extend(part.is_held);
         self.restoring_m_s2.extend(part.restoring_m_s2);
         self.drive_m_s2.extend(part.drive_m_s2);
         self.seen_drive_m_s2.extend(part.seen_drive_m_s2);

@@ -19,7 +19,8 @@ impl Problem<'_> {
         let shapes = self.shapes(spec, zero_m, around);
         self.carried = self.carried_m_s2(spec, &shapes);
         let weight = |n: usize, bend: f64, carried: f64| {
-            if motion.velocity_m_s[n].abs() < slow || counts.get(n) == Some(&false) {
+            let is_slow = motion.velocity_m_s[n].abs() < slow && !motion.is_held_at(n);
+            if is_slow || counts.get(n) == Some(&false) {
                 return 0.0;
             }
             let sigma = motion.restoring_noise_m_s2.hypot(carried).hypot(0.5 * bend);
@@ -82,8 +83,12 @@ impl Problem<'_> {
         let windows = motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w));
         let force = |(k, window): (usize, &Window)| {
             let mut error = OutputError::default();
+            let measured = self.samples(window).map(|n| motion.restoring_m_s2[n]);
+            let mut off: Vec<f64> =
+                measured.zip(&modelled[k]).map(|(measured, modelled)| measured - modelled).collect();
+            self.take_out_holds(k, &mut off);
             for (i, n) in self.samples(window).enumerate().filter(|(i, _)| self.weight(k, *i) > 0.0) {
-                error.sum_a += (motion.restoring_m_s2[n] - modelled[k][i]).powi(2);
+                error.sum_a += off[i].powi(2);
                 error.power_a += motion.restoring_m_s2[n].powi(2);
                 error.carried_a += carried[k][i].powi(2);
                 error.count += 1;
@@ -91,6 +96,29 @@ impl Problem<'_> {
             (k, error)
         };
         Some(windows.map(force).collect())
+    }
+
+    /// Takes out what a component's force is off in the mean of each hold in one window: friction may hold anything within its size there, and
+    /// only what changes is told.
+    pub(super) fn take_out_holds(&self, k: usize, off: &mut [f64]) {
+        if self.motion.is_held.is_empty() {
+            return;
+        }
+        let held: Vec<bool> = self.samples(&self.motion.windows[k]).map(|n| self.motion.is_held[n]).collect();
+        let mut from = 0;
+        for run in held.chunk_by(|a, b| a == b) {
+            let range = from..from + run.len();
+            from = range.end;
+            if !run[0] {
+                continue;
+            }
+            let both = off[range.clone()].iter().zip(&self.weights[k][range.clone()]);
+            let (sum, count) = both.fold((0.0, 0.0), |(sum, count), (off, weight)| {
+                (sum + weight * weight * off, count + weight * weight)
+            });
+            let mean = if count > 0.0 { sum / count } else { 0.0 };
+            off[range].iter_mut().for_each(|off| *off -= mean);
+        }
     }
 
     /// Takes the drift of the displacement sensor in one window out of its residuals: a line from cycle to cycle

@@ -28,10 +28,11 @@ const AROUND: (f64, f64) = (1.0, 2.0);
 const BY_FAR: f64 = 1.1;
 
 /// Steady stretches: the later part of each step in whole cycles, or the record in equal parts; and where the mass goes farthest, if asked.
+/// A component answers what is imposed on it whether that is steady or not: its record is cut into equal parts, and none of it is left out.
 pub(super) fn cut(record: &Record, motion: &Motion, with_farthest: bool) -> Vec<Window> {
     let n = motion.displacement_m.len();
     let mut windows = Vec::new();
-    if record.step.len() == n {
+    if record.step.len() == n && motion.kind != Kind::Component {
         let of_step = |(step, range)| steady(step, range, motion);
         windows = record.step_ranges().into_iter().filter_map(of_step).collect();
     }

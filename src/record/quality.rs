@@ -76,6 +76,8 @@ impl Finding {
 
 /// Cycles of the input that a record needs, and that a step needs for its steady state.
 const FEWEST_CYCLES: f64 = 3.0;
+/// Cycles that a component needs, whose force is judged along whatever is imposed: pressed and let go, or held.
+const FEWEST_IMPOSED: f64 = 1.0;
 /// Samples that a record needs.
 const FEWEST_SAMPLES: usize = 64;
 /// Equal samples that make a standstill.
@@ -114,7 +116,8 @@ pub fn examine(record: &Record) -> Vec<Finding> {
         |finding: &Finding| finding.problem == Problem::Constant && finding.severity == Severity::Error;
     if has_length && !findings.iter().any(silent) {
         findings.extend(kinematic::examine(record));
-        findings.extend(unsteady(record));
+        // What is imposed on a component is answered whether it is steady or not.
+        findings.extend((record.kind != Kind::Component).then(|| unsteady(record)).flatten());
     }
     for note in record.notes.iter().filter(|note| note.contains("filled in by straight lines")) {
         let count = note.split(' ').next().and_then(|word| word.parse().ok()).unwrap_or(0.0);
@@ -140,9 +143,10 @@ fn too_short(record: &Record) -> Option<Finding> {
     if seen < FEWEST_CYCLES && rests(input) {
         seen = seen.max(cycles(response(record)));
     }
-    if seen < FEWEST_CYCLES {
+    let fewest = if record.kind == Kind::Component { FEWEST_IMPOSED } else { FEWEST_CYCLES };
+    if seen < fewest {
         let seconds = samples as f64 / record.sample_rate_hz;
-        let text = format!("{seconds:.3} s hold {seen:.1} cycles of the input ({FEWEST_CYCLES} at least)");
+        let text = format!("{seconds:.3} s hold {seen:.1} cycles of the input ({fewest} at least)");
         return error(text, seen);
     }
     None
