@@ -113,6 +113,9 @@ fn evidence(trial: &Trial, from: &Trial) -> f64 {
 /// in units of the noise, that is structure whatever the flexible model sees.
 const STRUCTURED: f64 = 0.2;
 const UNMISTAKABLE: f64 = 0.5;
+/// Held-out error over what noise alone makes of it, from which on something is left at all: what the noise of a displacement puts into a force
+/// is correlated, too.
+const LEAST_OVER_NOISE: f64 = 1.02;
 
 /// Decides; the searcher examines what a trial leaves.
 pub fn decide(search: &Search, searcher: &Searcher<'_>, thresholds: Thresholds) -> Decision {
@@ -163,7 +166,12 @@ pub fn decide(search: &Search, searcher: &Searcher<'_>, thresholds: Thresholds) 
     } else if taken.names.is_empty() {
         // Nothing in the catalogue helps; is anything left at all?
         let structured = of_base > STRUCTURED * excess || excess > UNMISTAKABLE;
-        if excess > thresholds.excess && structured { Verdict::OutsideCatalogue } else { Verdict::Adequate }
+        let stands_out = || {
+            let error = searcher.held_out_error(&taken);
+            error.is_none_or(|error| error.nrmse() > LEAST_OVER_NOISE * error.noise_floor(searcher.motion))
+        };
+        let is_left = excess > thresholds.excess && structured && stands_out();
+        if is_left { Verdict::OutsideCatalogue } else { Verdict::Adequate }
     } else if left > thresholds.left && excess > thresholds.excess {
         Verdict::OutsideCatalogue
     } else if ambiguous_with.is_empty() {

@@ -17,7 +17,7 @@ const FAR_MORE: f64 = 6.0;
 /// Half cycles of where the band ends that a sudden start rings for, at most.
 const RINGS: f64 = 16.0;
 /// So many times that, the first that leaves but a few samples at corners.
-const TIMES: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
+const TIMES: [f64; 6] = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
 /// Largest share of the samples that lies beside corners: more, and that is how the motion is.
 const AT_CORNERS: f64 = 0.1;
 /// Pieces of a record that are looked at for where the motion usually ends, samples in one at least and pieces at least; bins that are looked
@@ -27,9 +27,12 @@ const LEAST_SAMPLES: usize = 128;
 const LEAST_PIECES: usize = 8;
 const BINS: usize = 4;
 const ABOVE: f64 = 4.0;
-/// Velocity over its noise below which its sense is not known, and a place over its own within which it is at rest; samples on each side of one, most of which are as slow where a place is held.
+/// Velocity over its noise below which its sense is not known, and a place over its own within which it is at rest; samples on each side of one,
+/// most of which are as slow where a place is held.
 const SLOW: f64 = 3.0;
 const HELD: usize = 8;
+/// Quarters of a cycle before a clear stop in which it is still so many times as fast as that.
+const SUDDEN: (usize, f64) = (2, 10.0);
 /// What rings beside a rest is faster than that by so much.
 const BESIDE_RESTS: f64 = 3.0;
 /// What is left of noise moves a place that is held by less than so many deviations of it.
@@ -47,7 +50,7 @@ pub(super) fn imposed(displacement: &[f64], sd: f64, rate: f64) -> Fused {
             (fused, Some(corners))
         }
     };
-    let rests = still_at_rest(&mut fused, sd);
+    let rests = still_at_rest(&mut fused, sd, corners.is_none());
     let about = rests.with_about();
     if let Some(away) = corners.and_then(|corners| corners.at_the_ends_of(&about)) {
         fused.velocity_is_told.iter_mut().zip(away).for_each(|(told, away)| *told &= away);
@@ -61,9 +64,10 @@ pub(super) fn imposed(displacement: &[f64], sd: f64, rate: f64) -> Fused {
     fused
 }
 
-/// Where a place is held, and samples of a quarter of a cycle elsewhere.
+/// Where a place is held, those where a motion clearly stopped, and samples of a quarter of a cycle elsewhere.
 struct Rests {
     held: Vec<Range<usize>>,
+    stopped: Vec<Range<usize>>,
     quarter: usize,
     samples: usize,
 }
@@ -77,17 +81,17 @@ impl Rests {
         self.held.iter().map(about).collect()
     }
 
-    /// Whether each sample is held.
+    /// Whether each sample is held after a clear stop. Where a motion fades below the noise friction still turns.
     fn is_held(&self) -> Vec<bool> {
         let mut is_held = vec![false; self.samples];
-        self.held.iter().for_each(|held| is_held[held.clone()].fill(true));
+        self.stopped.iter().for_each(|held| is_held[held.clone()].fill(true));
         is_held
     }
 }
 
 /// Where a place is held there is no velocity. What noise leaves of one is faster than usual by chance, and friction turned there. A motion that
-/// turns is slow for less than a quarter of its cycle.
-fn still_at_rest(fused: &mut Fused, sd: f64) -> Rests {
+/// turns is slow for less than a quarter of its cycle; along straight lines it never is.
+fn still_at_rest(fused: &mut Fused, sd: f64, along_lines: bool) -> Rests {
     let (place_m, velocity_m_s) = (&mut fused.displacement_m, &mut fused.velocity_m_s);
     let stays = |place_m: &[f64]| {
         let (low, high) = span(place_m);
@@ -95,24 +99,15 @@ fn still_at_rest(fused: &mut Fused, sd: f64) -> Rests {
     };
     let slow_m_s = SLOW * fused.velocity_noise_m_s;
     let slow: Vec<bool> = velocity_m_s.iter().map(|v| v.abs() < slow_m_s).collect();
-    let samples = slow.len();
-    let last = samples.saturating_sub(1);
-    let mut about = slow.iter().take(HELD).filter(|slow| **slow).count();
-    let mut mostly = Vec::with_capacity(samples);
-    for n in 0..samples {
-        about += usize::from(n + HELD <= last && slow[n + HELD]);
-        let (from, to) = (n.saturating_sub(HELD), (n + HELD).min(last));
-        mostly.push(2 * about > to - from + 1);
-        about -= usize::from(n >= HELD && slow[n - HELD]);
-    }
-    let moves = |n: &usize| !slow[*n] && !mostly[*n];
+    let mostly = mostly(&slow);
+    let (samples, last) = (slow.len(), slow.len().saturating_sub(1));
     let (mut moving, mut turns, mut sense) = (0usize, 1usize, 0.0);
-    for n in (0..samples).filter(moves) {
+    for n in (0..samples).filter(|n| !slow[*n] && !mostly[*n]) {
         moving += 1;
         turns += usize::from(velocity_m_s[n] * sense < 0.0);
         sense = velocity_m_s[n];
     }
-    let quarter = (moving / turns / 2).max(HELD);
+    let quarter = if along_lines { HELD } else { (moving / turns / 2).max(HELD) };
     // What is faster by chance for a while, or rings at the ends of the record, goes nowhere.
     let goes_on = |from: usize, to: usize| {
         to.saturating_sub(from) <= quarter && stays(&place_m[from.saturating_sub(1)..(to + 1).min(samples)])
@@ -130,11 +125,11 @@ fn still_at_rest(fused: &mut Fused, sd: f64) -> Rests {
     // What begins slowly creeps. About its ends a place may ring.
     let inner = |range: &Range<usize>| range.start + range.len() / 4..range.end - range.len() / 4;
     held.retain(|range| range.len() > quarter && stays(&place_m[inner(range)]));
-    if let Some(first) = held.first_mut().filter(|range| goes_on(0, range.start)) {
-        first.start = 0;
+    if let Some(range) = held.first_mut().filter(|range| goes_on(0, range.start)) {
+        range.start = 0;
     }
-    if let Some(end) = held.last_mut().filter(|range| goes_on(range.end, samples)) {
-        end.end = samples;
+    if let Some(range) = held.last_mut().filter(|range| goes_on(range.end, samples)) {
+        range.end = samples;
     }
     for range in &mut held {
         let place = &place_m[inner(range)];
@@ -150,7 +145,26 @@ fn still_at_rest(fused: &mut Fused, sd: f64) -> Rests {
         place_m[range.clone()].fill(mean_m);
         velocity_m_s[range.clone()].fill(0.0);
     }
-    Rests { held, quarter, samples }
+    let is_sudden = |range: &&Range<usize>| {
+        let before = range.start.saturating_sub(SUDDEN.0 * quarter)..range.start;
+        velocity_m_s[before].iter().any(|v| v.abs() > SUDDEN.1 * slow_m_s)
+    };
+    let stopped = held.iter().filter(is_sudden).cloned().collect();
+    Rests { held, stopped, quarter, samples }
+}
+
+/// Whether most are slow about each sample.
+fn mostly(slow: &[bool]) -> Vec<bool> {
+    let last = slow.len().saturating_sub(1);
+    let mut about = slow.iter().take(HELD).filter(|slow| **slow).count();
+    let mut mostly = Vec::with_capacity(slow.len());
+    for n in 0..slow.len() {
+        about += usize::from(n + HELD <= last && slow[n + HELD]);
+        let (from, to) = (n.saturating_sub(HELD), (n + HELD).min(last));
+        mostly.push(2 * about > to - from + 1);
+        about -= usize::from(n >= HELD && slow[n - HELD]);
+    }
+    mostly
 }
 
 /// Corners of a velocity.
@@ -274,10 +288,10 @@ mod tests {
         let velocity = |n: usize| match n {
             50 | 71 => 0.04,
             30..100 => 0.002,
-            _ => 0.1 * (n as f64 / 20.0 * TAU).sin(),
+            _ => 0.3 * (n as f64 / 20.0 * TAU).sin(),
         };
         let seen: Vec<f64> = (0..140).map(velocity).collect();
-        // A millimetre of noise in the velocity, and so little in the place that what moves by more is on its way.
+        // The place is known far better than its change.
         let motion = |place_m: &dyn Fn(usize) -> f64| Fused {
             displacement_m: (0..seen.len()).map(place_m).collect(),
             displacement_noise_m: 1e-4,
@@ -286,15 +300,20 @@ mod tests {
             ..differentiate(&[0.0; 140], 1e-3, 250.0)
         };
         let mut rests_there = motion(&|n| if (34..96).contains(&n) { 0.0 } else { 1e-2 });
-        let rests = still_at_rest(&mut rests_there, 1e-3);
+        let rests = still_at_rest(&mut rests_there, 1e-3, false);
         let is_held = rests.is_held();
         assert!((34..96).all(|n| rests_there.velocity_m_s[n] == 0.0 && is_held[n]));
         assert!((0..34).chain(96..140).all(|n| rests_there.velocity_m_s[n] == seen[n] && !is_held[n]));
         let [about] = &rests.with_about()[..] else { panic!("{:?}", rests.held) };
         assert_eq!(*about, 26..104);
+        // What fades is at rest, and friction may turn there.
+        let mut fades = motion(&|n| if (34..96).contains(&n) { 0.0 } else { 1e-2 });
+        fades.velocity_m_s[..30].iter_mut().for_each(|v| *v *= 0.5);
+        let rests = still_at_rest(&mut fades, 1e-3, false);
+        assert!((34..96).all(|n| fades.velocity_m_s[n] == 0.0) && !rests.is_held().contains(&true));
         // What creeps is not held.
         let mut creeps = motion(&|n| 1e-3 * n as f64);
-        assert!(still_at_rest(&mut creeps, 1e-3).held.is_empty() && creeps.velocity_m_s == seen);
+        assert!(still_at_rest(&mut creeps, 1e-3, false).held.is_empty() && creeps.velocity_m_s == seen);
     }
 
     /// Cycles of one frequency and then another, at 250 Hz, with their velocity.
