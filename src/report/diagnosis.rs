@@ -66,17 +66,21 @@ fn ladder(page: &mut Page, found: &Diagnosis) -> Result<(), ReportError> {
     )
 }
 
+/// Share of what is measured in a step from which on noise says more than any model.
+const MOSTLY_NOISE: f64 = 0.5;
+
 fn steps(page: &mut Page, steps: &[StepErrors], bumpers: bool) -> Result<(), ReportError> {
-    if steps.len() < 3 {
+    let shown: Vec<&StepErrors> = steps.iter().filter(|s| s.noise_floor < MOSTLY_NOISE).collect();
+    if shown.len() < 3 {
         return Ok(());
     }
     // A record without steps has parts of one frequency: those go by their number.
-    let frequencies = steps.iter().map(|s| s.frequency_hz);
+    let frequencies = shown.iter().map(|s| s.frequency_hz);
     let (low, high) = frequencies.fold((f64::INFINITY, 0.0_f64), |(l, h), f| (l.min(f), h.max(f)));
     let swept = high > 1.05 * low;
     let place = |s: &StepErrors| if swept { s.frequency_hz } else { f64::from(s.step) };
     let points = |held_out: bool, pick: fn(&StepErrors) -> f64| -> Vec<(f64, f64)> {
-        steps.iter().filter(|s| s.held_out == held_out).map(|s| (place(s), 100.0 * pick(s))).collect()
+        shown.iter().filter(|s| s.held_out == held_out).map(|s| (place(s), 100.0 * pick(s))).collect()
     };
     let mut chart = Chart::new(if swept { "Frequency f (Hz)" } else { "Part of the record" }, "NRMSE (%)")
         .size(900.0, 320.0);
@@ -95,13 +99,15 @@ fn steps(page: &mut Page, steps: &[StepErrors], bumpers: bool) -> Result<(), Rep
             kept,
         );
     }
-    let mut floor: Vec<(f64, f64)> = steps.iter().map(|s| (place(s), 100.0 * s.noise_floor)).collect();
+    let mut floor: Vec<(f64, f64)> = shown.iter().map(|s| (place(s), 100.0 * s.noise_floor)).collect();
     floor.sort_by(|a, b| a.0.total_cmp(&b.0));
     chart = chart.line(Some("noise floor"), Stroke::dashed(Ink::Limit), floor);
     let small = " Where the mass moves little, noise alone is a large part of it: the dashed line.";
     let jumps = " With stiff bumpers the response is bistable in parts of a sweep: a simulation may leave on the other branch \
                  for reasons of noise alone.";
-    page.figure(&chart, &format!("Error step by step.{small}{}", if bumpers { jumps } else { "" }))
+    let rests = " Not shown: parts that rest, where noise is more than half of what is measured.";
+    let rest = if shown.len() < steps.len() { rests } else { "" };
+    page.figure(&chart, &format!("Error step by step.{small}{rest}{}", if bumpers { jumps } else { "" }))
 }
 
 fn tables(page: &mut Page, found: &Diagnosis) {
