@@ -6,6 +6,7 @@ use hil_tests::imposed::{
 };
 use shaketable::compare::compare;
 use shaketable::diagnose::adding::add;
+use shaketable::diagnose::report::NamedEffect;
 use shaketable::diagnose::{Diagnosis, Options, Verdict, diagnose};
 use shaketable::model::{EffectSpec, IsolatorUncertainty, ModelSpec, Uncertainty};
 use shaketable::record::Record;
@@ -22,15 +23,24 @@ fn found_with(record: &Record, nominal: &ModelSpec, name: &str) -> Diagnosis {
     found
 }
 
+/// Numbers of an effect are within a share of the truth.
+fn are_told<const N: usize>(effect: &NamedEffect, numbers: [(&str, f64); N], within: f64) {
+    for (name, truth) in numbers {
+        let told = &effect.parameters[name];
+        assert!((told.value / truth - 1.0).abs() < within, "{name}: {told:?}");
+    }
+}
+
+fn is_at_the_floor(found: &Diagnosis) {
+    assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+}
+
 #[test]
 fn the_shape_of_a_hysteresis_is_told_and_nothing_makes_up_for_it() {
     let shape = [("kh_n_m", 2e5), ("dy_m", 1.4e-3), ("n", 1.3), ("gamma", 0.35)];
     let found = found(&hysteresis(SPRING, shape.map(|(_, value)| value), 1), SPRING, "bouc-wen-hysteresis");
-    for (name, truth) in shape {
-        let told = &found.effects[0].parameters[name];
-        assert!((told.value / truth - 1.0).abs() < 0.02, "{name}: {told:?}");
-    }
-    assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+    are_told(&found.effects[0], shape, 0.02);
+    is_at_the_floor(&found);
 }
 
 #[test]
@@ -45,11 +55,8 @@ fn the_shape_of_a_hysteresis_is_told_beside_a_force_that_hid_it() {
     named.sort_unstable();
     assert_eq!(named, ["bouc-wen-hysteresis", "constant-force"], "{:?}", found.refused);
     let hysteresis = found.effects.iter().find(|effect| effect.name == "bouc-wen-hysteresis").expect("named");
-    for (name, truth) in shape {
-        let told = &hysteresis.parameters[name];
-        assert!((told.value / truth - 1.0).abs() < 0.02, "{name}: {told:?}");
-    }
-    assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+    are_told(hysteresis, shape, 0.02);
+    is_at_the_floor(&found);
 }
 
 #[test]
@@ -85,7 +92,7 @@ fn play_is_told_alone() {
         let found = found(&joint(SPRING, play_m, seed), SPRING, "backlash");
         let play = &found.effects[0].parameters["b_m"];
         assert!((play.value - play_m).abs() < 5e-6, "{play:?}");
-        assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+        is_at_the_floor(&found);
     }
 }
 
@@ -111,10 +118,7 @@ fn what_a_dashpot_makes_of_the_noise_of_its_displacement_is_noise() {
     for seed in 1..4 {
         let record = hysteresis(DASHPOT, shape.map(|(_, value)| value), seed);
         let found = found(&record, DASHPOT, "bouc-wen-hysteresis");
-        for (name, truth) in shape {
-            let told = &found.effects[0].parameters[name];
-            assert!((told.value / truth - 1.0).abs() < 0.1, "{name}: {told:?}");
-        }
+        are_told(&found.effects[0], shape, 0.1);
         assert!((0.8..1.2).contains(&(found.error_after / found.noise_floor)), "{found:?}");
     }
 }
@@ -151,11 +155,8 @@ fn a_force_that_comes_late_is_put_on_time() {
     let record = hysteresis(late, shape.map(|(_, value)| value), 11);
     let found = found(&record, late, "bouc-wen-hysteresis");
     assert!(is_said(&found), "{:?}", found.notes);
-    for (name, truth) in shape {
-        let told = &found.effects[0].parameters[name];
-        assert!((told.value / truth - 1.0).abs() < 0.02, "{name}: {told:?}");
-    }
-    assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+    are_told(&found.effects[0], shape, 0.02);
+    is_at_the_floor(&found);
     // What is added to a model is fitted so, too.
     let start = [("kh_n_m", 5e4), ("dy_m", 3e-3)].map(|(name, value)| (name.to_owned(), value));
     let given = EffectSpec { name: "bouc-wen-hysteresis".into(), expression: None, parameters: start.into() };
@@ -180,7 +181,7 @@ fn a_velocity_that_jumps_from_step_to_step_is_no_memory() {
     let found = found(&stepped(rig, 3e9, hz, 3e-3, 2), rig, "cubic-stiffness");
     let told = &found.effects[0].parameters["k3_n_m3"];
     assert!((told.value / 3e9 - 1.0).abs() < 0.01, "{told:?}");
-    assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+    is_at_the_floor(&found);
 }
 
 #[test]
@@ -191,7 +192,7 @@ fn friction_that_holds_through_rests_is_no_hysteresis() {
         let found = found(&rested(rig, 600.0, rest_s, seed), rig, "coulomb-friction");
         let fc = &found.effects[0].parameters["fc_n"];
         assert!((fc.value - 600.0).abs() < 6.0, "{fc:?}");
-        assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+        is_at_the_floor(&found);
     }
 }
 
@@ -201,11 +202,8 @@ fn a_hysteresis_between_rests_is_told_alone() {
     let rig = Rig { displacement_noise_m: 1e-5, ..SPRING };
     let found =
         found(&hysteresis_between_rests(rig, [2e5, 1.4e-3, 1.0, 0.5], 24), rig, "bouc-wen-hysteresis");
-    for (name, truth) in [("kh_n_m", 2e5), ("dy_m", 1.4e-3)] {
-        let told = &found.effects[0].parameters[name];
-        assert!((told.value / truth - 1.0).abs() < 0.03, "{name}: {told:?}");
-    }
-    assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+    are_told(&found.effects[0], [("kh_n_m", 2e5), ("dy_m", 1.4e-3)], 0.03);
+    is_at_the_floor(&found);
 }
 
 #[test]
@@ -213,11 +211,8 @@ fn what_relaxes_while_it_is_held_is_told_to_a_hundredth() {
     // Holds did not count, and a record without three cycles was none.
     let rig = Rig { displacement_noise_m: 1e-5, ..SPRING };
     let found = found(&pressed_and_held(rig, [8e4, 2.0], 25), rig, "maxwell-branch");
-    for (name, truth) in [("km_n_m", 8e4), ("tau_s", 2.0)] {
-        let told = &found.effects[0].parameters[name];
-        assert!((told.value / truth - 1.0).abs() < 0.01, "{name}: {told:?}");
-    }
-    assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+    are_told(&found.effects[0], [("km_n_m", 8e4), ("tau_s", 2.0)], 0.01);
+    is_at_the_floor(&found);
 }
 
 #[test]
@@ -245,7 +240,7 @@ fn a_force_that_drifts_is_no_physics() {
     let rms = (record.force_n.iter().map(|f| f * f).sum::<f64>() / count).sqrt();
     record.force_n.iter_mut().enumerate().for_each(|(i, f)| *f += 0.05 * rms * i as f64 / count);
     let found = found(&record, SPRING, "bouc-wen-hysteresis");
-    assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
+    is_at_the_floor(&found);
     assert!(found.notes.iter().any(|note| note.starts_with("the force drifts by")), "{:?}", found.notes);
 }
 

@@ -202,9 +202,7 @@ impl<'a> Problem<'a> {
         let Some(modelled) = self.restoring(spec, shift_m, part) else { return false };
         for (k, window) in self.motion.windows.iter().enumerate().filter(|(k, _)| self.takes(part, *k)) {
             let begin = out.len();
-            let measured = self.samples(window).map(|n| self.motion.restoring_m_s2[n]);
-            out.extend(measured.zip(&modelled[k]).map(|(measured, modelled)| measured - modelled));
-            self.take_out_holds(k, &mut out[begin..]);
+            self.push_off(k, window, &modelled[k], out);
             out[begin..].iter_mut().zip(&self.weights[k]).for_each(|(r, weight)| *r *= weight);
             self.take_out_drift(k, &mut out[begin..]);
         }

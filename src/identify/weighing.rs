@@ -83,10 +83,8 @@ impl Problem<'_> {
         let windows = motion.windows.iter().enumerate().filter(|(_, w)| part.takes(w));
         let force = |(k, window): (usize, &Window)| {
             let mut error = OutputError::default();
-            let measured = self.samples(window).map(|n| motion.restoring_m_s2[n]);
-            let mut off: Vec<f64> =
-                measured.zip(&modelled[k]).map(|(measured, modelled)| measured - modelled).collect();
-            self.take_out_holds(k, &mut off);
+            let mut off = Vec::with_capacity(modelled[k].len());
+            self.push_off(k, window, &modelled[k], &mut off);
             for (i, n) in self.samples(window).enumerate().filter(|(i, _)| self.weight(k, *i) > 0.0) {
                 error.sum_a += off[i].powi(2);
                 error.power_a += motion.restoring_m_s2[n].powi(2);
@@ -98,13 +96,21 @@ impl Problem<'_> {
         Some(windows.map(force).collect())
     }
 
+    /// Appends by how much a model's restoring force over the mass is off in one window, m/s2: measured minus modelled, but for the means of holds.
+    pub(super) fn push_off(&self, k: usize, window: &Window, modelled: &[f64], out: &mut Vec<f64>) {
+        let begin = out.len();
+        let measured = self.samples(window).map(|n| self.motion.restoring_m_s2[n]);
+        out.extend(measured.zip(modelled).map(|(measured, modelled)| measured - modelled));
+        self.take_out_holds(k, window, &mut out[begin..]);
+    }
+
     /// Takes out what a component's force is off in the mean of each hold in one window: friction may hold anything within its size there, and
     /// only what changes is told.
-    pub(super) fn take_out_holds(&self, k: usize, off: &mut [f64]) {
+    fn take_out_holds(&self, k: usize, window: &Window, off: &mut [f64]) {
         if self.motion.is_held.is_empty() {
             return;
         }
-        let held: Vec<bool> = self.samples(&self.motion.windows[k]).map(|n| self.motion.is_held[n]).collect();
+        let held: Vec<bool> = self.samples(window).map(|n| self.motion.is_held_at(n)).collect();
         let mut from = 0;
         for run in held.chunk_by(|a, b| a == b) {
             let range = from..from + run.len();

@@ -102,7 +102,7 @@ fn farthest(record: &Record, motion: &Motion, steady: &[Window]) -> Option<Windo
 /// before.
 fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
     let rate = motion.sample_rate_hz;
-    let input = if motion.drive_m_s2.is_empty() { &motion.displacement_m } else { &motion.drive_m_s2 };
+    let input = &motion.drive_m_s2;
     let frequency_hz = step_cycles_hz(motion.kind, &input[range.clone()], rate)?;
     let cycle = rate / frequency_hz;
     let cycles = (range.len() as f64 / cycle).floor();

@@ -116,8 +116,7 @@ pub fn examine(record: &Record) -> Vec<Finding> {
         |finding: &Finding| finding.problem == Problem::Constant && finding.severity == Severity::Error;
     if has_length && !findings.iter().any(silent) {
         findings.extend(kinematic::examine(record));
-        // What is imposed on a component is answered whether it is steady or not.
-        findings.extend((record.kind != Kind::Component).then(|| unsteady(record)).flatten());
+        findings.extend(unsteady(record));
     }
     for note in record.notes.iter().filter(|note| note.contains("filled in by straight lines")) {
         let count = note.split(' ').next().and_then(|word| word.parse().ok()).unwrap_or(0.0);
@@ -395,6 +394,10 @@ fn stuck(record: &Record, role: Role, values: &[f64], (bottom, top): (f64, f64))
 /// Steps too short or still growing: most of them have fewer than three cycles, or their last two cycles
 /// differ by more than a tenth in the size of the response.
 fn unsteady(record: &Record) -> Option<Finding> {
+    // What is imposed on a component is answered whether it is steady or not.
+    if record.kind == Kind::Component {
+        return None;
+    }
     let response = response(record);
     let steps = record.step_ranges();
     let judged = steps.iter().filter_map(|(_, range)| {
