@@ -40,7 +40,11 @@ pub fn noise_floor(record: &Record) -> NoiseFloor {
 /// White noise of the channel that drives the model, over its whole band.
 pub(super) fn of_input(record: &Record) -> f64 {
     let hiss = white(record.input(), record.sample_rate_hz);
-    if record.kind == Kind::Force { applied_noise(hiss, record.input()) } else { hiss }
+    let answers = [&record.displacement_m[..], &record.acceleration_m_s2];
+    match record.kind {
+        Kind::Force => applied_noise(hiss, record.input(), answers, record.sample_rate_hz),
+        Kind::Base | Kind::Component => hiss,
+    }
 }
 
 /// [`noise_floor`] with windows, band and the noise of the input at hand.

@@ -1,5 +1,6 @@
 //! Records of an applied force: it drives the mass, whose displacement or acceleration or both are seen.
 
+use super::coherence::beside_answers;
 use super::fused::{differentiate, fuse, integrate};
 use super::kinematics::{Estimate, Instruments, earlier, on_time};
 use super::motion::{Motion, MotionError, channel, driving, rms};
@@ -20,10 +21,12 @@ pub fn force_on_time(record: &Record, late_s: f64) -> Record {
     Record { force_n, ..record.clone() }
 }
 
-/// Noise of the sensor of an applied force of which so much looks like white noise: one that fills the whole band leaves nothing to tell it by.
-pub fn applied_noise(hiss: f64, force: &[f64]) -> f64 {
+/// Noise of the sensor of an applied force of which so much looks like white noise: of one that fills the band, what displacement and
+/// acceleration that answer it (those that were measured) do not show, too; where even that is most of it, nothing tells.
+pub fn applied_noise(hiss: f64, force: &[f64], answers: [&[f64]; 2], sample_rate_hz: f64) -> f64 {
+    let noise = beside_answers(hiss, force, &answers, sample_rate_hz);
     match rms(force) {
-        size if hiss < FILLED * size => hiss,
+        size if noise < FILLED * size => noise,
         size => UNKNOWN * size,
     }
 }
@@ -68,7 +71,8 @@ pub(super) fn motion(
         None => (fused.acceleration_m_s2.clone(), fused.acceleration_noise_m_s2),
     };
     let over_mass: Vec<f64> = force.iter().map(|f| f / mass_kg).collect();
-    let drive_noise_m_s2 = applied_noise(noise(&over_mass), &over_mass);
+    let answers = [&record.displacement_m[..], &record.acceleration_m_s2];
+    let drive_noise_m_s2 = applied_noise(noise(&over_mass), &over_mass, answers, rate);
     Ok(Motion {
         restoring_m_s2: over_mass.iter().zip(&seen).map(|(f, a)| f - a).collect(),
         drive_m_s2: driving(&over_mass, &fused.displacement_m, rate),

@@ -2,6 +2,7 @@
 
 mod applied;
 mod base;
+mod coherence;
 mod component;
 mod filtered;
 mod fused;

@@ -21,11 +21,16 @@ const LEVEL_RUN: usize = 3;
 const LEVEL_PARTS: f64 = 0.04;
 const LOST: f64 = 0.02;
 
+/// All of them, from below.
+pub(super) fn parts_of_band() -> impl Iterator<Item = (f64, f64)> {
+    LOWER_PARTS.into_iter().chain(PARTS_OF_BAND)
+}
+
 /// Expected value of the second of five normal deviates, and its standard deviation (order statistics: David and Nagaraja 2003).
 const SECOND_OF_FIVE: [f64; 2] = [-0.495, 0.56];
 
 /// Stretches of a channel that overlap by half, so many samples each: every how many are looked at, and how many that is.
-fn stretches(samples: usize) -> (usize, usize, usize) {
+pub(super) fn stretches(samples: usize) -> (usize, usize, usize) {
     let length = STRETCH.min(samples);
     let there = samples.saturating_sub(length) / (length / 2).max(1) + 1;
     let every = there.div_ceil(STRETCHES);
@@ -58,11 +63,7 @@ fn told_by_stretches(channel: &[f64], sample_rate_hz: f64) -> (f64, Option<f64>)
     let (length, every, _) = stretches(channel.len());
     let parts_of = |stretch: &[f64]| {
         let spectrum = Spectrum::tapered(stretch, sample_rate_hz);
-        LOWER_PARTS
-            .into_iter()
-            .chain(PARTS_OF_BAND)
-            .map(|(low, high)| spectrum.white_noise_rms(low, high))
-            .collect()
+        parts_of_band().map(|(low, high)| spectrum.white_noise_rms(low, high)).collect()
     };
     let stretches = channel.windows(length.max(1)).step_by((length / 2).max(1)).step_by(every);
     let told: Vec<Vec<f64>> = stretches.map(parts_of).collect();
@@ -103,7 +104,7 @@ pub fn noise_of_sensor(x: &[f64], sample_rate_hz: f64) -> f64 {
 }
 
 /// So much, or what no sensor does better than.
-fn at_least(noise: f64, x: &[f64]) -> f64 {
+pub(super) fn at_least(noise: f64, x: &[f64]) -> f64 {
     noise.max(FINEST * rms(x)).max(of_rounding(x))
 }
 
@@ -266,8 +267,7 @@ mod tests {
         }
         // Corners of a velocity, and what a bumper of few samples makes, are no noise.
         for fall in [1, 2] {
-            let parts: Vec<f64> =
-                LOWER_PARTS.iter().chain(&PARTS_OF_BAND).map(|(low, _)| low.powi(-fall)).collect();
+            let parts: Vec<f64> = parts_of_band().map(|(low, _)| low.powi(-fall)).collect();
             assert_eq!(level_below_a_filter(&parts, 0.01), None);
         }
     }
