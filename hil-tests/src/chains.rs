@@ -32,25 +32,54 @@ pub struct Chain {
 
 /// A stepped sine of a mass, seen through a chain.
 pub fn stepped(body: &Body, chain: Chain, seed: u64) -> Record {
-    let own_hz = (body.stiffness_n_m / body.mass_kg).sqrt() / TAU;
-    let h_s = 1.0 / (chain.rate_hz * FINE as f64);
-    let mut channels = [const { Vec::new() }; 3];
-    let (mut steps, mut state, mut turn) = (Vec::new(), (0.0, 0.0), 0.0);
+    let (own_hz, h_s) = (own_hz(body), chain.fine_s());
+    let mut steps = Vec::new();
+    let mut turns = Vec::new();
     for (step, share) in STEPS.into_iter().enumerate() {
-        let step_turn = share * own_hz * h_s;
-        let count = (CYCLES / step_turn / FINE as f64) as usize * FINE;
+        let turn = share * own_hz * h_s;
+        let count = (CYCLES / turn / FINE as f64) as usize * FINE;
         steps.resize(steps.len() + count / FINE, i32::try_from(step).unwrap_or(-1));
-        for _ in 0..count {
-            let table = |part: f64| TABLE_M_S2 * (TAU * (turn + part * step_turn)).sin();
-            let seen = table(0.0);
-            let forces = [seen, table(0.5), table(1.0)].map(|a| -body.mass_kg * a);
-            let relative_m_s2 = body.free_m_s2(forces[0], state.0, state.1);
-            for (channel, x) in channels.iter_mut().zip([state.0, relative_m_s2 + seen, seen]) {
-                channel.push(x);
-            }
-            body.swing(&mut state, forces, h_s);
-            turn += step_turn;
+        turns.resize(turns.len() + count, turn);
+    }
+    Record { step: steps, ..driven(body, chain, seed, &turns) }
+}
+
+/// A sine of a mass swept from a quarter of its frequency to so many times that within so many seconds, by as many octaves in each, seen through a
+/// chain.
+pub fn swept(body: &Body, chain: Chain, seed: u64, (times, seconds): (f64, f64)) -> Record {
+    let (own_hz, h_s) = (own_hz(body), chain.fine_s());
+    let count = (seconds / h_s) as usize / FINE * FINE;
+    let turn = |i: usize| 0.25 * own_hz * h_s * (4.0 * times).powf(i as f64 / count as f64);
+    let record = driven(body, chain, seed, &(0..count).map(turn).collect::<Vec<f64>>());
+    Record { step: vec![-1; record.time_s.len()], ..record }
+}
+
+fn own_hz(body: &Body) -> f64 {
+    (body.stiffness_n_m / body.mass_kg).sqrt() / TAU
+}
+
+impl Chain {
+    /// Length of a fine step, s.
+    fn fine_s(&self) -> f64 {
+        1.0 / (self.rate_hz * FINE as f64)
+    }
+}
+
+/// A mass on a table that turns by so much of a cycle in each fine step, seen through a chain.
+fn driven(body: &Body, chain: Chain, seed: u64, turns: &[f64]) -> Record {
+    let h_s = chain.fine_s();
+    let mut channels = [const { Vec::new() }; 3];
+    let (mut state, mut turned) = ((0.0, 0.0), 0.0);
+    for turn in turns {
+        let table = |part: f64| TABLE_M_S2 * (TAU * (turned + part * turn)).sin();
+        let seen = table(0.0);
+        let forces = [seen, table(0.5), table(1.0)].map(|a| -body.mass_kg * a);
+        let relative_m_s2 = body.free_m_s2(forces[0], state.0, state.1);
+        for (channel, x) in channels.iter_mut().zip([state.0, relative_m_s2 + seen, seen]) {
+            channel.push(x);
         }
+        body.swing(&mut state, forces, h_s);
+        turned += turn;
     }
     let mut random = Pcg64::seed_from_u64(seed);
     let blocks = [None, chain.blocks_hz[0], chain.blocks_hz[1]];
@@ -68,10 +97,9 @@ pub fn stepped(body: &Body, chain: Chain, seed: u64) -> Record {
         low_pass(&mut channel, TAU * corner_hz * h_s);
         channel.into_iter().step_by(FINE).collect()
     });
-    let mut record = Record::empty("stepped", Kind::Base, chain.rate_hz);
+    let mut record = Record::empty("driven", Kind::Base, chain.rate_hz);
     record.time_s = (0..displacement.len()).map(|i| i as f64 / chain.rate_hz).collect();
-    (record.relative_displacement_m, record.table_acceleration_m_s2, record.step) =
-        (displacement, table, steps);
+    (record.relative_displacement_m, record.table_acceleration_m_s2) = (displacement, table);
     if chain.accelerometer {
         record.mass_acceleration_1_m_s2 = mass;
     }

@@ -6,6 +6,7 @@ use super::late_force::{self, Lagging};
 use super::report::Diagnosis;
 use super::search::{Effort, Searcher};
 use super::thresholds::Thresholds;
+use super::trial::Trial;
 use super::verdict::{self, Verdict};
 use super::{late, parts};
 use crate::compare::quality;
@@ -137,7 +138,7 @@ const BY_EXPLANATION: usize = 1;
 const LEFT_ON_TIME: f64 = 0.7;
 /// Error over the noise floor of a component whose force was put on time, at most, where noise was all that was left with that.
 const KEPT: f64 = 1.5;
-/// So many times at most the noise is taken to be what a diagnosis leaves, or a drift taken out.
+/// So many times at most the noise is taken to be what a diagnosis leaves, or a drift or a hum taken out.
 const QUIETER: usize = 2;
 
 /// What a diagnosis may do again.
@@ -202,6 +203,11 @@ fn of_motion(
         let by_explanation = Again { on_time: BY_EXPLANATION + 1, late: None, ..again };
         return by_explanation.put_on_time(tests, options, again.late_s);
     }
+    let less = Again { noise: again.noise.saturating_sub(1), ..again };
+    let hum = |trial: &Trial| (again.noise > 0).then(|| searcher.without_hum(trial)).flatten();
+    if let Some((without, said)) = hum(&base) {
+        return of_motion((tests, nominal), options, without, (findings, [notes, said].concat()), less);
+    }
     // A component's force is put on time once.
     let first =
         (motion.kind == Kind::Component && !is_moved && again.on_time > 0).then(|| searcher.stage(&base));
@@ -229,7 +235,6 @@ fn of_motion(
             return Ok(prompt);
         }
     }
-    let less = Again { noise: again.noise.saturating_sub(1), ..again };
     if again.noise > 0
         && let Some((steadier, drift)) = searcher.steadier(search.best())
     {
@@ -238,6 +243,9 @@ fn of_motion(
             100.0 * drift
         ));
         return of_motion((tests, nominal), options, steadier, (findings, notes), less);
+    }
+    if let Some((without, said)) = hum(&decision.chosen) {
+        return of_motion((tests, nominal), options, without, (findings, [notes, said].concat()), less);
     }
     if again.noise > 0
         && let Some(quieter) = searcher.quieter(&decision.chosen)

@@ -8,6 +8,7 @@ use crate::identify::problem::{OutputError, Part};
 use crate::identify::refit::Refit;
 use crate::model::ModelSpec;
 use crate::record::Kind;
+use crate::record::mended::{Line, find_left};
 
 /// What is left is clearly less than noise when it is below this share of it.
 const CLEARLY_LESS: f64 = 0.7;
@@ -112,6 +113,43 @@ impl Searcher<'_> {
         drifting.for_each(|(n, force)| *force -= a_sample * n as f64);
         let rms = self.motion.restoring_rms_m_s2();
         Some((steadier, a_sample * force.len() as f64 / rms))
+    }
+
+    /// The motion without hum of the mains in what a trial leaves of A and D, and what is to be said of that: what is imposed hides it in
+    /// the record where that passes its frequency.
+    pub fn without_hum(&self, trial: &Trial) -> Option<(Motion, Vec<String>)> {
+        let (measured, response) = (self.measured.as_ref()?, trial.response.as_ref()?);
+        if self.motion.sources.len() != 1 {
+            return None;
+        }
+        let spec = &trial.refit.spec;
+        let mut left = measured.misfits(spec, Part::Training, &response.training)?;
+        left.extend(measured.misfits(spec, Part::HeldOut, &response.held_out)?);
+        left.sort_by_key(|(k, _)| *k);
+        let rate_hz = self.motion.sample_rate_hz;
+        let lines = |channel: usize| {
+            let first = |k: usize| self.motion.windows[k].range.start;
+            let pieces: Vec<(usize, Vec<f64>)> =
+                left.iter().map(|(k, of)| (first(*k), of[channel].clone())).collect();
+            find_left(&pieces, &self.motion.drive_m_s2, rate_hz)
+        };
+        let (of_a, of_d) = (lines(0), lines(1));
+        let mut without = self.motion.clone();
+        // The restoring acceleration is that of the mass, with the other sign.
+        without.restoring_m_s2.iter_mut().for_each(|r| *r = -*r);
+        of_a.iter().for_each(|line| line.take_out(&mut without.restoring_m_s2, rate_hz));
+        without.restoring_m_s2.iter_mut().for_each(|r| *r = -*r);
+        of_d.iter().for_each(|line| line.take_out(&mut without.laser_m, rate_hz));
+        let said = |channel: &str, unit: &str, line: &Line| {
+            let (hz, amplitude) = (line.frequency_hz(), line.amplitude());
+            format!(
+                "{channel}: hum of the mains at {hz:.2} Hz, {amplitude:.2e} {unit}, in what the model leaves: taken out"
+            )
+        };
+        let of_a = of_a.iter().map(|line| said("acceleration of the mass", "m/s2", line));
+        let of_d = of_d.iter().map(|line| said("displacement", "m", line));
+        let said: Vec<String> = of_a.chain(of_d).collect();
+        (!said.is_empty()).then_some((without, said))
     }
 
     /// What a model's response says of each record's gains; nothing where it does not follow them.

@@ -55,6 +55,27 @@ impl Measured<'_> {
         Some(steps.iter().zip(&laid.nuisances).zip(self.windows(part)).map(of).collect())
     }
 
+    /// What is left of A (m/s2) and of D (m) in the windows of a part with what is estimated beside the model taken out, each with the number of its
+    /// window; nothing of a channel that was not measured. Where samples of A do not count the others stand for them: tones keep their size.
+    pub fn misfits(&self, spec: &ModelSpec, part: Part, laid: &Laid) -> Option<Vec<(usize, [Vec<f64>; 2])>> {
+        let (_, steps) = self.lay(spec, part, &laid.values, &laid.nuisances)?;
+        let motion = self.motion;
+        let seen = [motion.sees_acceleration, self.sees_displacement];
+        let noise = [motion.restoring_noise_m_s2, motion.laser_noise_m];
+        let of = |((step, own), k): ((&Step<'_>, &Nuisances), &usize)| {
+            let common = self.common(&laid.values, step.window);
+            let misfit = self.misfit(step.window, &step.simulated, common, own);
+            let (of_a, of_d) = misfit.split_at(step.simulated.len());
+            let counted = self.counts()[step.window.range.clone()].iter().filter(|counts| **counts).count();
+            let unit = [noise[0] * of_a.len() as f64 / counted.max(1) as f64, noise[1]];
+            let channel = |of: &[f64], i: usize| -> Vec<f64> {
+                if seen[i] { of.iter().map(|x| unit[i] * x).collect() } else { Vec::new() }
+            };
+            (*k, [channel(of_a, 0), channel(of_d, 1)])
+        };
+        Some(steps.iter().zip(&laid.nuisances).zip(self.windows(part)).map(of).collect())
+    }
+
     /// What is left of the residuals of a part.
     pub fn left(&self, spec: &ModelSpec, part: Part, laid: &Laid) -> Option<Left> {
         let (_, steps) = self.lay(spec, part, &laid.values, &laid.nuisances)?;

@@ -2,13 +2,18 @@
 //! steps. A record without any (an earthquake, noise, a chirp) is as good: no sample belongs to a step.
 
 use super::Record;
+use std::ops::Range;
 
 /// Cycles that make a step at least.
 const FEWEST_CYCLES: usize = 3;
+/// Share of the samples that stretches hold together at least: fewer are chance, in a chirp or in noise.
+const TOGETHER: f64 = 0.2;
 /// How far the period of a cycle may be from that of its step, relative.
 const PERIOD: f64 = 0.008;
 /// The same of the amplitude.
 const AMPLITUDE: f64 = 0.08;
+/// Deviations by which the period of a stretch runs away where it does.
+const TOLD: f64 = 5.0;
 
 /// One cycle of the input between two rising crossings of its mean.
 #[derive(Clone, Copy, Debug)]
@@ -26,14 +31,18 @@ struct Cycle {
 /// Fills `record.step` and notes how many steps were found.
 pub(super) fn find(record: &mut Record) {
     let cycles = cycles(record.input());
-    let mut step = vec![-1; record.len()];
-    let mut count = 0;
-    for group in groups(&cycles) {
-        if let (Some(first), Some(last)) = (group.first(), group.last()) {
-            step[first.first..last.end].fill(count);
-            count += 1;
-        }
+    let ends = groups(&cycles).into_iter().filter_map(|group| Some(group.first()?.first..group.last()?.end));
+    let mut stretches: Vec<Range<usize>> = ends.collect();
+    let moving: usize = cycles.iter().map(|cycle| cycle.end - cycle.first).sum();
+    let held: usize = stretches.iter().map(Range::len).sum();
+    if (held as f64) < TOGETHER * moving as f64 {
+        stretches.clear();
     }
+    let mut step = vec![-1; record.len()];
+    for (stretch, number) in stretches.iter().zip(0..) {
+        step[stretch.clone()].fill(number);
+    }
+    let count = stretches.len();
     record.step = step;
     record.notes.push(match count {
         0 => "no step column and no stretch of steady frequency: the record is used as a whole".to_owned(),
@@ -57,7 +66,7 @@ fn cycles(input: &[f64]) -> Vec<Cycle> {
         let (a, b) = (pair[0], pair[1]);
         half_peak = half_peak.max(b.abs());
         if a < 0.0 && b >= 0.0 {
-            rising = Some(i as f64 + a / (a - b));
+            rising = Some(i as f64 + crossing(&smooth, i));
         }
         if b < -level {
             low = true;
@@ -83,6 +92,22 @@ fn cycles(input: &[f64]) -> Vec<Cycle> {
             Cycle { first, end, period: pair[1] - pair[0], amplitude: 0.5 * (high - low) }
         })
         .collect()
+}
+
+/// Where, after a sample, a channel rises through zero before the next: on the cubic through the four samples around, since a line is a
+/// hundredth of a cycle off where those have ten samples, which makes one period another from cycle to cycle.
+fn crossing(x: &[f64], i: usize) -> f64 {
+    let (a, b) = (x[i], x[i + 1]);
+    let by_line = a / (a - b);
+    let (Some(before), Some(after)) = (i.checked_sub(1).map(|i| x[i]), x.get(i + 2)) else { return by_line };
+    let (curved, other) = (0.5 * (before - 2.0 * a + b), 0.5 * (a - 2.0 * b + after));
+    // Newton's form of the cubic beside the line, which it leaves little.
+    let beside = |s: f64| s * (s - 1.0) * (curved + (s + 1.0) / 3.0 * (other - curved));
+    let mut s = by_line;
+    for _ in 0..4 {
+        s = (by_line + beside(s) / (a - b)).clamp(0.0, 1.0);
+    }
+    s
 }
 
 /// The input about its mean, smoothed by a running mean of a sixteenth of the shortest plausible cycle.
@@ -149,7 +174,7 @@ fn groups(cycles: &[Cycle]) -> Vec<&[Cycle]> {
 }
 
 /// Whether the period runs away steadily, as in a chirp: its line over the group changes by more than
-/// half the tolerance, and the line explains most of the scatter.
+/// half the tolerance, and by so many of its deviations.
 fn drifts(group: &[Cycle]) -> bool {
     let n = group.len() as f64;
     let mean = group.iter().map(|c| c.period).sum::<f64>() / n;
@@ -162,5 +187,52 @@ fn drifts(group: &[Cycle]) -> bool {
         pp += dp * dp;
     }
     let change = (kp / kk * n).abs();
-    change > 0.5 * PERIOD && kp * kp > 0.8 * kk * pp
+    // Student's t of the slope.
+    let left = (kk * pp - kp * kp).max(f64::MIN_POSITIVE);
+    change > 0.5 * PERIOD && kp * kp * (n - 2.0) > TOLD * TOLD * left
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::Kind;
+    use rand::{SeedableRng, prelude::Distribution};
+    use std::f64::consts::TAU;
+
+    /// Stretches found in what turns by so many cycles each sample, with a ten-thousandth of noise.
+    fn found(cycles_of_samples: impl Iterator<Item = f64>) -> Vec<usize> {
+        let mut random = rand_pcg::Pcg64::seed_from_u64(2);
+        let mut phase = 0.0;
+        let input: Vec<f64> = cycles_of_samples
+            .map(|cycles| {
+                phase += TAU * cycles;
+                let noise: f64 = rand_distr::StandardNormal.sample(&mut random);
+                phase.sin() + 1e-4 * noise
+            })
+            .collect();
+        let mut record = Record { table_acceleration_m_s2: input, ..Record::empty("it", Kind::Base, 1000.0) };
+        record.time_s = (0..record.table_acceleration_m_s2.len()).map(|i| i as f64 / 1000.0).collect();
+        find(&mut record);
+        record.step_ranges().into_iter().map(|(_, range)| range.len()).collect()
+    }
+
+    #[test]
+    fn a_chirp_has_no_steps_however_few_samples_its_cycles_have() {
+        // From a thousand samples a cycle to ten, by a factor of e each so many samples.
+        for slow in [6e3, 13e3, 50e3] {
+            let samples = (slow * 100_f64.ln()) as usize;
+            let chirp = (0..samples).map(|i| 1e-3 * (i as f64 / slow).exp());
+            assert_eq!(found(chirp), [0; 0], "{slow}");
+        }
+        let straight = (0..60_000).map(|i| 0.1 * i as f64 / 60_000.0);
+        assert_eq!(found(straight), [0; 0]);
+    }
+
+    #[test]
+    fn steps_of_few_samples_a_cycle_are_found() {
+        let hz = |step: usize| 0.085 + 0.004 * step as f64;
+        let sizes = found((0..8).flat_map(|step| std::iter::repeat_n(hz(step), 600)));
+        assert_eq!(sizes.len(), 8, "{sizes:?}");
+        assert!(sizes.iter().all(|size| (560..=640).contains(size)), "{sizes:?}");
+    }
 }

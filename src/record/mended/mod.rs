@@ -5,7 +5,7 @@ mod coupling;
 mod hum;
 mod spikes;
 
-pub use hum::may_be_hum;
+pub use hum::{Line, find_left, may_be_hum};
 
 use super::data::{Kind, Record, Role};
 use super::quality::{dies_out, response};
