@@ -2,9 +2,9 @@
 
 use super::CompareError;
 use super::window::Window;
+use crate::identify::along_straight_lines;
 use crate::identify::imposed_on_component;
 use crate::identify::motion::ALONG_LINES;
-use crate::identify::spectral::{along_straight_lines, held_1_s2};
 use crate::model::system::System;
 use crate::model::{ModelSpec, Observer, Regime, Specimen, build};
 use crate::record::quality::white_noise;
@@ -130,12 +130,8 @@ impl Measured {
         let short = record.kind == Kind::Base && cycle < ALONG_LINES;
         let lines = if record.kind == Kind::Force || short {
             // Its sign is the table's.
-            let held = if d.is_empty() {
-                0.0
-            } else {
-                held_1_s2(&drive.iter().map(|a| -a).collect::<Vec<_>>(), &d, rate)
-            };
-            along_straight_lines(&drive, rate, held)
+            let over_mass: Vec<f64> = drive.iter().map(|a| -a).collect();
+            along_straight_lines(&over_mass, &d, rate).into_iter().map(|f| -f).collect()
         } else {
             Vec::new()
         };

@@ -4,6 +4,7 @@ use super::spectral::{at_least, parts_of_band, stretches};
 use crate::signal::Spectrum;
 use nalgebra::{Matrix3, Vector3};
 use realfft::num_complex::Complex64;
+use std::ops::Range;
 
 /// Inputs that a force is laid against: a motion, its square and its cube, as a force that bends with it shows.
 const INPUTS: usize = 3;
@@ -78,6 +79,29 @@ fn unexplained(spectra: &[[Spectrum; INPUTS + 1]], bin: usize) -> f64 {
     }
     let Some(factors) = among.cholesky() else { return own };
     own - factors.solve(&with).iter().zip(&with).map(|(x, b)| (x.conj() * b).re).sum::<f64>()
+}
+
+/// Coherence of two channels in a part of the band (over half the sampling rate): the median over its bins, 0 for channels that are too short to
+/// average over (Bendat and Piersol, Random Data, 4th ed. 2010, ch. 5).
+pub(super) fn shared(one: &[f64], other: &[f64], band: Range<f64>) -> f64 {
+    let (length, every, count) = stretches(one.len());
+    if other.len() != one.len() || count < FEWEST {
+        return 0.0;
+    }
+    let pairs: Vec<[Spectrum; 2]> = (0..count)
+        .map(|i| i * every * (length / 2).max(1))
+        .map(|start| [one, other].map(|x| Spectrum::tapered(&x[start..start + length], 1.0)))
+        .collect();
+    let of_bin = |bin: usize| {
+        let sums = pairs.iter().fold((0.0, 0.0, Complex64::ZERO), |(x, y, xy), [of_x, of_y]| {
+            let (a, b) = (of_x.bins[bin], of_y.bins[bin]);
+            (x + a.norm_sqr(), y + b.norm_sqr(), xy + a * b.conj())
+        });
+        sums.2.norm_sqr() / (sums.0 * sums.1).max(f64::MIN_POSITIVE)
+    };
+    let mut each: Vec<f64> = pairs[0][0].band(0.5 * band.start, 0.5 * band.end).map(of_bin).collect();
+    each.sort_by(f64::total_cmp);
+    each.get(each.len() / 2).copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]

@@ -2,6 +2,8 @@
 //! the filter, so that whatever a model leaves would stand out of it. Such a record is told again at the rate that its band needs.
 //! Called before a motion is made of a record that a model is to be fitted to.
 
+use super::coherence::shared;
+use crate::record::quality::of_rounding;
 use crate::record::{Kind, Record};
 use crate::signal::Spectrum;
 use std::borrow::Cow;
@@ -13,6 +15,8 @@ const PARTS: usize = 64;
 const LEVEL_PARTS: usize = 8;
 const LEVEL: f64 = 2.0;
 const LEFT: f64 = 30.0;
+/// Coherence of what is level with what drives the mass from which on it is no noise.
+const DRIVEN: f64 = 0.5;
 /// Part of the band above which a filter takes too little to matter.
 const HIGHEST: f64 = 0.75;
 
@@ -25,7 +29,7 @@ pub(super) fn at_its_rate(record: &Record) -> Cow<'_, Record> {
     }
 }
 
-/// Frequency above which a filter took the noise out of every channel of what answers, Hz.
+/// Frequency above which a filter took the noise out of every channel of what answers, Hz; none where it is what drives the mass that ends there.
 fn filtered_above_hz(record: &Record) -> Option<f64> {
     let channels = match record.kind {
         Kind::Component => return None,
@@ -37,13 +41,21 @@ fn filtered_above_hz(record: &Record) -> Option<f64> {
         Kind::Force => vec![&record.displacement_m, &record.acceleration_m_s2],
     };
     let measured = channels.into_iter().filter(|channel| !channel.is_empty());
-    let ends: Option<Vec<usize>> = measured.map(|channel| end_of_level(channel)).collect();
+    let ends: Option<Vec<usize>> = measured
+        .map(|channel| {
+            let (end, is_hiss_above) = end_of_level(channel)?;
+            let level = |part: usize| part as f64 / PARTS as f64;
+            let driven = || shared(channel, record.input(), level(end - LEVEL_PARTS)..level(end));
+            (!is_hiss_above || driven() < DRIVEN).then_some(end)
+        })
+        .collect();
     let part_hz = 0.5 * record.sample_rate_hz / PARTS as f64;
     ends?.into_iter().min().map(|end| end as f64 * part_hz)
 }
 
-/// First part of the band that a filter took the noise of a channel out of: noise that is level below it, and next to none at the top.
-fn end_of_level(channel: &[f64]) -> Option<usize> {
+/// First part of the band that a filter took the noise of a channel out of: noise that is level below it, and next to none at the top; and
+/// whether that is level, too, and more than rounding makes.
+fn end_of_level(channel: &[f64]) -> Option<(usize, bool)> {
     let spectrum = Spectrum::tapered(channel, 1.0);
     let part = (spectrum.bins.len() - 1) / PARTS;
     if part < 16 || channel.iter().any(|x| !x.is_finite()) {
@@ -66,7 +78,11 @@ fn end_of_level(channel: &[f64]) -> Option<usize> {
         let (least, most) = of.iter().fold((f64::INFINITY, 0.0_f64), |(l, m), x| (l.min(*x), m.max(*x)));
         least > LEFT * top && most < LEVEL * least
     })?;
-    Some(start + LEVEL_PARTS)
+    let above = &levels[PARTS - LEVEL_PARTS..];
+    let least = above.iter().fold(f64::INFINITY, |least, level| level.min(least));
+    // The median of the power of noise is ln 2 of its mean.
+    let rounding = std::f64::consts::LN_2 * spectrum.white_noise_power(of_rounding(channel));
+    Some((start + LEVEL_PARTS, top < LEVEL * least && least > LEVEL * rounding))
 }
 
 /// The record at twice the frequency of its end.

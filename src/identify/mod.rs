@@ -10,6 +10,7 @@ mod imposed;
 mod jumpless;
 pub mod kinematics;
 pub mod least_squares;
+mod lines;
 pub mod motion;
 pub mod numbers;
 mod output_error;
@@ -28,6 +29,7 @@ mod windows;
 pub use applied::{applied_noise, force_on_time};
 pub use component::{answered, imposed_on_component};
 pub use jumpless::noise_of_whole_beside_jumps;
+pub use lines::along_straight_lines;
 
 use crate::record::{Record, mended::mended};
 use std::borrow::Cow;

@@ -7,7 +7,7 @@
 //! frequency where their noises are equal (a Wiener filter, zero phase).
 
 use super::kinematics::{self, Instruments, Tolerances};
-use super::spectral::{along_straight_lines, held_1_s2};
+use super::lines::along_straight_lines;
 use super::together::Source;
 use super::{applied, base, component, periodic, windows};
 use crate::model::ModelSpec;
@@ -155,8 +155,10 @@ pub(crate) const ALONG_LINES: usize = 200;
 /// How well a solver that joins samples of a force by straight lines then tells the force of a dashpot, over the rms of the restoring force:
 /// displacements are made up for, velocities between the samples are others.
 const COARSE: f64 = 2e-3;
-/// A force that is nowhere more than this share of the largest restoring force only hisses.
+/// A force that is nowhere more than this share of the largest restoring force only hisses, unless it works: in all stretches so much of the largest kinetic
+/// energy of the mass. One that keeps a resonance going is small, too.
 const LET_GO: f64 = 0.02;
+const WORKS: f64 = 0.1;
 impl Motion {
     /// Corrects, fuses and cuts a record.
     ///
@@ -247,7 +249,16 @@ impl Motion {
             let windows = self.windows.iter().flat_map(|window| &channel[window.range.clone()]);
             windows.fold(0.0_f64, |top, x| top.max(x.abs()))
         };
-        self.kind == Kind::Force && largest(&self.drive_m_s2) > LET_GO * largest(&self.restoring_m_s2)
+        let work = |window: &Window| {
+            let each = window.range.clone().map(|n| -self.drive_m_s2[n] * self.velocity_m_s[n]);
+            (each.sum::<f64>() * self.dt_s()).abs()
+        };
+        let works = || {
+            let all = self.windows.iter().map(work).sum::<f64>();
+            all > WORKS * 0.5 * largest(&self.velocity_m_s).powi(2)
+        };
+        self.kind == Kind::Force
+            && (largest(&self.drive_m_s2) > LET_GO * largest(&self.restoring_m_s2) || works())
     }
 
     /// What drives a simulation at a sample, as the restoring force has it, m/s2.
@@ -343,8 +354,7 @@ impl Motion {
 /// What is to drive a simulation, as an acceleration of the table (m/s2), so that a force over the mass moves it as it did although a solver
 /// joins samples by lines.
 pub(super) fn driving(over_mass_m_s2: &[f64], displacement_m: &[f64], rate: f64) -> Vec<f64> {
-    let held = held_1_s2(over_mass_m_s2, displacement_m, rate);
-    along_straight_lines(over_mass_m_s2, rate, held).into_iter().map(|f| -f).collect()
+    along_straight_lines(over_mass_m_s2, displacement_m, rate).into_iter().map(|f| -f).collect()
 }
 
 pub(super) fn rms(x: &[f64]) -> f64 {

@@ -1,9 +1,8 @@
-//! Noise of a channel from its spectrum, and what a solver that joins samples by straight lines is to be given.
+//! Noise of a channel from its spectrum.
 
 use super::motion::{FINEST, rms};
 use crate::record::quality::of_rounding;
 use crate::signal::Spectrum;
-use realfft::num_complex::Complex64;
 
 /// Samples of a stretch of [`stretches_noise_rms`], and stretches at most.
 const STRETCH: usize = 4096;
@@ -120,75 +119,11 @@ pub fn noise_of_whole(x: &[f64], tapered: &Spectrum) -> f64 {
     if of_level.is_some() || stretches < CLEARLY_LESS * whole { stretches } else { whole }
 }
 
-/// Stiffness over mass (1/s2) that a force over the mass and the displacement that it makes show together.
-pub fn held_1_s2(force_m_s2: &[f64], displacement_m: &[f64], sample_rate_hz: f64) -> f64 {
-    let [force, motion] = [force_m_s2, displacement_m].map(|channel| Spectrum::of(channel, sample_rate_hz));
-    let (mut sum, mut power) = (0.0, 0.0);
-    for (bin, (f, d)) in force.bins.iter().zip(&motion.bins).enumerate().skip(1) {
-        let w = motion.omega_rad_s(bin);
-        sum += ((f + d * (w * w)) * d.conj()).re;
-        power += d.norm_sqr();
-    }
-    (sum / power.max(f64::MIN_POSITIVE)).max(0.0)
-}
-
-/// Part of the band, up to its end, in which a band-limited channel has next to nothing, and what share of its power that is at most.
-const UPPER: f64 = 0.8;
-const NEXT_TO_NOTHING: f64 = 0.02;
-
-/// What a solver that joins samples by straight lines is to be given so that the mass that it drives moves, at each sample, as the
-/// band-limited signal that was sampled would move it: lines weaken a frequency f by sinc(f/rate)^2, and what they add around multiples of
-/// the rate is seen at f again, when the motion is sampled, as a mass answers it there, by its inertia, over how it answers f, held by a
-/// stiffness over the mass (1/s2) (Unser 2000, Sampling - 50 years after Shannon). A channel that fills the whole band is no sampled band-limited signal, and is left as it is.
-pub fn along_straight_lines(channel: &[f64], sample_rate_hz: f64, held_1_s2: f64) -> Vec<f64> {
-    let spectrum = Spectrum::of(channel, sample_rate_hz);
-    let power = |bins: &[Complex64]| bins.iter().map(|z| z.norm_sqr()).sum::<f64>();
-    let upper = (UPPER * spectrum.bins.len() as f64) as usize;
-    if power(&spectrum.bins[upper..]) > NEXT_TO_NOTHING * power(&spectrum.bins[1..]) {
-        return channel.to_vec();
-    }
-    let passed = |w: f64| {
-        let x = 0.5 * w / sample_rate_hz;
-        if x == 0.0 {
-            return 1.0;
-        }
-        let sinc = (x.sin() / x).powi(2);
-        // The sum of sinc(f/rate + k)^2 over (1 + k rate/f)^2, all k but 0.
-        let others = (1.0 - 2.0 / 3.0 * x.sin().powi(2)) / sinc - sinc;
-        sinc + others * (1.0 - held_1_s2 / (w * w))
-    };
-    spectrum.multiply(|w| Complex64::from(1.0 / passed(w))).channel()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use realfft::num_complex::Complex64;
     use std::f64::consts::TAU;
-
-    #[test]
-    fn a_mass_driven_along_straight_lines_moves_as_the_signal_would_move_it() {
-        // A unit mass that nothing holds, from sample to sample in closed form; its steady motion against -sin/w2.
-        let (rate, n) = (100.0, 4000);
-        for turn in [0.1, 0.8, 1.9] {
-            let x: Vec<f64> = (0..n).map(|i| (turn * f64::from(i)).sin()).collect();
-            let size = |x: &[f64]| {
-                let second: Vec<f64> =
-                    x.windows(3).map(|w| (w[0] + 4.0 * w[1] + w[2]) / 6.0 / (rate * rate)).collect();
-                // Second differences of the motion; those of the signal's are -(2 sin(turn/2)/w)^2 of it.
-                let (sum, of) = (500..3500).fold((0.0, 0.0), |(sum, of), i| {
-                    let sine = (turn * (i as f64 + 1.0)).sin();
-                    (sum + second[i] * sine, of + sine * sine)
-                });
-                sum / of / (2.0 * (0.5 * turn).sin() / (turn * rate)).powi(2)
-            };
-            let left_alone = size(&x);
-            assert!(left_alone < 1.0 - 0.06 * turn * turn, "{turn}: {left_alone}");
-            let made_up_for = size(&along_straight_lines(&x, rate, 0.0));
-            assert!((made_up_for - 1.0).abs() < 1e-3, "{turn}: {made_up_for}");
-        }
-        let filled: Vec<f64> = (0..1000).map(|i| f64::from(i * 7919 % 1009) - 504.0).collect();
-        assert_eq!(along_straight_lines(&filled, rate, 0.0), filled);
-    }
 
     #[test]
     fn stretches_tell_noise_beside_a_strong_signal_and_jumps() {
