@@ -24,6 +24,9 @@ const STEADY: f64 = 0.02;
 /// How much farther than in any steady stretch the mass goes elsewhere when that is looked at, too; cycles before and after.
 const FARTHER: f64 = 1.02;
 const AROUND: (f64, f64) = (1.0, 2.0);
+/// Times its share of the force's power that a stretch holds in which the mass is struck, and how many of those are divided among fit and judgement.
+const STRUCK: f64 = 3.0;
+const FEWEST_STRUCK: usize = 3;
 /// How much farther than in every other step the mass goes in one that the fit is to see.
 const BY_FAR: f64 = 1.1;
 
@@ -42,7 +45,7 @@ pub(super) fn cut(record: &Record, motion: &Motion, with_farthest: bool) -> Vec<
     }
     let settles = with_farthest && record.step.len() == n && motion.kind == Kind::Base;
     let farthest = if settles { farthest(record, motion, &windows) } else { None };
-    let judging = judging(motion, &windows);
+    let judging = with_struck(motion, &windows, judging(motion, &windows));
     for (i, window) in windows.iter_mut().enumerate() {
         // The fit sees how it settles.
         window.held_out = judging.contains(&i) && farthest.as_ref().is_none_or(|f| f.step != window.step);
@@ -50,6 +53,41 @@ pub(super) fn cut(record: &Record, motion: &Motion, with_farthest: bool) -> Vec<
     windows.extend(farthest);
     windows.sort_by_key(|window| window.range.start);
     windows
+}
+
+/// Stretches of a record of an applied force without steps that hold so many times their share of what the force does, as those with a
+/// blow of a hammer: they alone tell the mass.
+pub(super) fn struck(motion: &Motion, windows: &[Window]) -> Vec<bool> {
+    if motion.kind != Kind::Force || !windows.iter().all(|window| window.random) {
+        return vec![false; windows.len()];
+    }
+    let power = |window: &Window| motion.drive_m_s2[window.range.clone()].iter().map(|f| f * f).sum::<f64>();
+    let powers: Vec<f64> = windows.iter().map(power).collect();
+    let least = STRUCK * powers.iter().sum::<f64>() / windows.len().max(1) as f64;
+    powers.iter().map(|power| *power > least).collect()
+}
+
+/// Those that judge, with some of the struck ones among them and some not, where there are a few: whatever else changes, neighbours take each
+/// other's place.
+fn with_struck(motion: &Motion, windows: &[Window], mut judging: Vec<usize>) -> Vec<usize> {
+    let struck = struck(motion, windows);
+    let all: Vec<usize> = (1..windows.len().saturating_sub(1)).filter(|k| struck[*k]).collect();
+    let judged = all.iter().filter(|k| judging.contains(k)).count();
+    let Some(middle) = all.get(all.len() / 2).copied().filter(|_| all.len() >= FEWEST_STRUCK) else {
+        return judging;
+    };
+    if judged == 0 {
+        judging.retain(|k| k.abs_diff(middle) > 1);
+        judging.push(middle);
+    } else if judged == all.len() {
+        // Every other one serves the fit, and the one after it judges.
+        for k in all.into_iter().step_by(2) {
+            judging.iter_mut().filter(|judge| **judge == k).for_each(|judge| *judge += 1);
+        }
+        judging.retain(|k| *k + 1 < windows.len());
+    }
+    judging.sort_unstable();
+    judging
 }
 
 /// Which stretches judge: every third, but the first and last serve the fit, so that it need not extrapolate, and the one in which the

@@ -40,7 +40,7 @@ use super::motion::{Motion, Window};
 use super::numbers::Numbers;
 use super::problem::{DRIFT, Part};
 use super::refit::{with_zero, zero_sigma_m};
-use super::windows::largest_m;
+use super::windows::{largest_m, struck};
 use crate::model::ModelSpec;
 use crate::parallel;
 use crate::record::Kind;
@@ -184,7 +184,8 @@ impl<'a> Measured<'a> {
             // A record alone keeps one of so many; records together all that there is room for, since a little too much of them would
             // leave out half of what the last one was recorded for.
             let times = samples as f64 / (SAMPLES * motion.sources.len().max(1)) as f64;
-            let share = 1.0 / if motion.sources.len() > 1 { times.max(1.0) } else { times.ceil().max(1.0) };
+            let as_many_as_fit = motion.sources.len() > 1 || motion.kind == Kind::Force;
+            let share = 1.0 / if as_many_as_fit { times.max(1.0) } else { times.ceil().max(1.0) };
             // Of a whole sweep the one in which the mass goes farthest tells what none of the few does that are left.
             let reaches = |k: &usize| largest_m(motion, &motion.windows[*k].range);
             let farthest = if !held_out && is_long(motion) {
@@ -192,7 +193,8 @@ impl<'a> Measured<'a> {
             } else {
                 None
             };
-            let needed = |k: usize| motion.windows[k].settling || Some(k) == farthest;
+            let struck = struck(motion, &motion.windows);
+            let needed = |k: usize| motion.windows[k].settling || Some(k) == farthest || struck[k];
             let kept = |(i, k): (usize, usize)| (stays(i, share) || needed(k)).then_some(k);
             all.into_iter().enumerate().filter_map(kept).collect()
         };
