@@ -104,6 +104,13 @@ pub fn waves(body: &Body, seed: u64) -> Record {
     })
 }
 
+/// The same, seen ten times as well: where the waves end stands out of the noise.
+pub fn waves_seen_well(body: &Body, seed: u64) -> Record {
+    driven(body, seed, |record, (x, _), _, random| {
+        record.displacement_m.push(x + noise(random, 2e-5));
+    })
+}
+
 /// The same, seen by its acceleration alone.
 pub fn felt_waves(body: &Body, seed: u64) -> Record {
     driven(body, seed, |record, (x, v), force_n, random| {
@@ -153,6 +160,26 @@ pub fn struck(body: &Body, seed: u64) -> Record {
     while let Some((at, _)) = blows.last().filter(|(at, _)| *at < 17.0) {
         blows.push((at + random.random_range(1.2..1.9), random.random_range(160.0..400.0)));
     }
+    under_blows(body, &blows, &mut random)
+}
+
+/// Blows of a hammer at such instants (s), else as [`struck`].
+pub fn struck_at(body: &Body, instants_s: &[f64], seed: u64) -> Record {
+    let mut random = Pcg64::seed_from_u64(seed);
+    let blows: Vec<_> = instants_s.iter().map(|at| (*at, random.random_range(160.0..400.0))).collect();
+    under_blows(body, &blows, &mut random)
+}
+
+/// A sine of so much force (N) swept from one frequency to another (Hz), by as many hertz in each of twenty seconds.
+pub fn swept(body: &Body, amplitude_n: f64, (from_hz, to_hz): (f64, f64), seed: u64) -> Record {
+    let turned = |t: f64| from_hz * t + (to_hz - from_hz) / 40.0 * t * t;
+    let force = |t: f64| amplitude_n * (TAU * turned(t)).sin();
+    let noises = [1e-3 * amplitude_n, 5e-6, 0.05];
+    swinging(body, 0.0, force, (2000.0, noises), &mut Pcg64::seed_from_u64(seed))
+}
+
+/// Under blows at such instants (s) with such peaks (N).
+fn under_blows(body: &Body, blows: &[(f64, f64)], random: &mut Pcg64) -> Record {
     let force = |t: f64| {
         let of = |(at, peak): &(f64, f64)| match (t - at) / 0.012 {
             x if (0.0..1.0).contains(&x) => peak * 0.5 * (1.0 - (TAU * x).cos()),
@@ -160,7 +187,7 @@ pub fn struck(body: &Body, seed: u64) -> Record {
         };
         blows.iter().map(of).sum::<f64>()
     };
-    swinging(body, 0.0, force, (2000.0, [0.02, 5e-6, 4e-3]), &mut random)
+    swinging(body, 0.0, force, (2000.0, [0.02, 5e-6, 4e-3]), random)
 }
 
 /// Pulled aside by so much and let go, nothing to drive it; seen so many times a second.
