@@ -222,12 +222,20 @@ fn told_outside_as_a_surface(seed: u64, which: usize) {
 #[test]
 fn a_force_that_two_effects_make_up_for_is_outside_the_catalogue() {
     // A damping that grows with the cube of velocity: one shape does better than every pair, the one of a square and a friction among
-    // them that takes a quarter of the velocities to turn round; of the second by 9 nats. Of the last the base model is so far off that
-    // first order takes another shape for it.
-    for seed in [10_097_103, 10_112_307, 10_113_315] {
-        let found = foreign(seed, 3);
-        assert_eq!(found.verdict, Verdict::OutsideCatalogue, "{seed}: {:?}", found.effects);
-    }
+    // them that takes a quarter of the velocities to turn round.
+    told_outside(10_097_103, 3);
+}
+
+#[test]
+#[ignore = "minutes: `./test blind`"]
+fn a_force_that_two_effects_nearly_make_up_for_is_outside_the_catalogue() {
+    // As the one before, by 9 nats; and one of which the base model is so far off that first order takes another shape for it.
+    [10_112_307, 10_113_315].into_iter().for_each(|seed| told_outside(seed, 3));
+}
+
+fn told_outside(seed: u64, which: usize) {
+    let found = foreign(seed, which);
+    assert_eq!(found.verdict, Verdict::OutsideCatalogue, "{seed}: {:?}", found.effects);
 }
 
 #[test]
@@ -369,9 +377,9 @@ fn the_measured_damper_shows_memory_then_play() {
 
 #[test]
 fn an_effect_taken_out_of_the_catalogue_is_outside_it() {
-    let case = hidden::make(&Recipe::of(5_000_507, &["stiffness-degradation"], 0.08))
-        .expect("the effect reaches its size");
-    let without = hidden::with_twin("stiffness-degradation");
+    let case =
+        hidden::make(&Recipe::of(10_114_210, &["backlash"], 0.12)).expect("the effect reaches its size");
+    let without = hidden::with_twin("backlash");
     let options = Options { without: without.clone(), ..Options::default() };
     let found = diagnose_together(&[(&case.record, &case.nominal)], &options).expect("a base record");
     assert_eq!(found.verdict, Verdict::OutsideCatalogue, "{:?}", found.effects);

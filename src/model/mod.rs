@@ -99,6 +99,15 @@ pub trait Specimen: Send {
     /// Puts such states in.
     fn recall(&mut self, _memory: &[f64]) {}
 
+    /// States of all effects that are hidden along an imposed motion, where [`Specimen::resume`] can go on from there; none where some are no
+    /// numbers, as those of a joint are and reversals.
+    fn hidden(&self) -> Vec<f64> {
+        Vec::new()
+    }
+
+    /// Goes on with such states from where the mass is now (m, m/s).
+    fn resume(&mut self, _hidden: &[f64], _now: (f64, f64)) {}
+
     /// Tells what forgets a reversal of the motion only when this goes beyond it those so far (displacements in m, in their order) and
     /// puts the mass where it is now (m, m/s), everything else undeformed. Other models stay as they are.
     fn retrace(&mut self, _reversals_m: &mut dyn Iterator<Item = f64>, _now: (f64, f64)) {}

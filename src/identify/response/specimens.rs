@@ -19,6 +19,11 @@ pub(super) struct Specimens {
     pub(super) hidden: bool,
     /// Tips of the bumpers come back by a power law, as long as there is no contact.
     creeps: bool,
+    /// One of them keeps what larger motions left it with as long as those after are small.
+    lasting: bool,
+    /// States of the effects of each record where its windows begin to be warmed up, in their order; none where nothing lasts, or where they are
+    /// not known yet.
+    walked: Vec<Vec<Vec<f64>>>,
     /// An effect forgets by a power law: slower than in the cycles before a step.
     pub(super) remembers: bool,
     /// The table moves otherwise than it is driven.
@@ -60,22 +65,21 @@ impl Measured<'_> {
     ) -> Sampled {
         let motion = self.motion;
         let (zero_m, table_zero_m_s2) = (common[0], if window.random { common[5] } else { 0.0 });
-        let (specimen, share) = (&mut *specimens.each[window.source], specimens.share);
-        specimen.reset();
         let source = &motion.sources[window.source];
         let last = window.range.start.max(1) - 1;
-        let mut first = window.warm_from.min(last);
-        if !specimens.hidden {
-            // Nothing but the tips of the bumpers to bring to where they are.
-            let cycles = if specimens.creeps { CREEPING } else { RETURNING };
-            let samples = cycles * motion.sample_rate_hz / window.frequency_hz.max(1e-9);
-            first = first.max(last.saturating_sub(samples as usize));
-        }
+        let first = self.warmed_from(specimens, window);
+        let states = self.walked(specimens, window, zero_m);
+        let (specimen, share) = (&mut *specimens.each[window.source], specimens.share);
+        specimen.reset();
         specimen.set_time_s(source.time_s(first, motion.dt_s()));
         if specimens.remembers {
             specimen.recall(self.remembered(window));
         }
         motion.retrace(specimen, window, first, zero_m);
+        if let Some(states) = states {
+            specimen
+                .resume(&states, (motion.displacement_m[first - 1] + zero_m, motion.velocity_m_s[first - 1]));
+        }
         for n in first..last {
             specimen.impose(motion.displacement_m[n] + zero_m, motion.velocity_m_s[n]);
         }
@@ -111,6 +115,46 @@ impl Measured<'_> {
         Sampled { simulated, velocity_m_s, table_m_s2: table }
     }
 
+    /// First sample from which on a model is warmed up for a window.
+    fn warmed_from(&self, specimens: &Specimens, window: &Window) -> usize {
+        let last = window.range.start.max(1) - 1;
+        let first = window.warm_from.min(last);
+        if specimens.hidden && !(specimens.lasting && window.random) {
+            return first;
+        }
+        // Nothing but the tips of the bumpers to bring to where they are.
+        let cycles = if specimens.creeps { CREEPING } else { RETURNING };
+        let samples = cycles * self.motion.sample_rate_hz / window.frequency_hz.max(1e-9);
+        first.max(last.saturating_sub(samples as usize))
+    }
+
+    /// States of what lasts where a window of a record without steps begins to be warmed up: a model goes through the record once for all windows.
+    fn walked(&self, specimens: &mut Specimens, window: &Window, zero_m: f64) -> Option<Vec<f64>> {
+        if !specimens.lasting || !window.random {
+            return None;
+        }
+        let (motion, of) = (self.motion, window.source);
+        let own: Vec<&Window> = motion.windows.iter().filter(|other| other.source == of).collect();
+        if specimens.walked[of].is_empty() {
+            let begins: Vec<usize> = own.iter().map(|own| self.warmed_from(specimens, own)).collect();
+            let specimen = &mut specimens.each[of];
+            specimen.reset();
+            let mut at = motion.sources[of].first;
+            specimen.set_time_s(motion.sources[of].time_s(at, motion.dt_s()));
+            for begin in begins {
+                for n in at..begin.max(at) {
+                    specimen.impose(motion.displacement_m[n] + zero_m, motion.velocity_m_s[n]);
+                }
+                at = begin.max(at);
+                specimens.walked[of].push(specimen.hidden());
+            }
+        }
+        let place = own.iter().position(|own| std::ptr::eq(*own, window))?;
+        let begins = self.warmed_from(specimens, window);
+        let states = specimens.walked[of].get(place)?;
+        (begins > motion.sources[of].first && !states.is_empty()).then(|| states.clone())
+    }
+
     pub(super) fn specimens(&self, spec: &ModelSpec) -> Option<Specimens> {
         let sources = &self.motion.sources;
         let build = |source: &Source| model::build(&source.setting.of(spec), self.motion.dt_s()).ok();
@@ -120,7 +164,10 @@ impl Measured<'_> {
         let stateless = |effect: &EffectSpec| effects::find(&effect.name).is_ok_and(|e| e.states.is_empty());
         let hidden = !spec.effects.iter().all(stateless);
         let share = self.motion.driven_by(spec);
+        let lasting = has("bouc-wen-hysteresis") && !has("backlash") && !has("iwan-hysteresis");
         Some(Specimens {
+            lasting,
+            walked: vec![Vec::new(); sources.len()],
             each: sources.iter().map(build).collect::<Option<_>>()?,
             hidden,
             creeps,
@@ -128,5 +175,47 @@ impl Measured<'_> {
             kicks,
             share,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnose::testing::seen;
+    use crate::identify::kinematics::Tolerances;
+    use crate::identify::motion::Motion;
+    use crate::model::testing::b1_g2;
+
+    #[test]
+    fn a_hysteresis_begins_each_part_as_the_whole_record_before_left_it() {
+        let mut spec = b1_g2();
+        let numbers = [("kh_n_m", 6000.0), ("dy_m", 0.004), ("n", 1.5), ("beta", 0.5), ("gamma", 0.5)];
+        spec.effects.push(EffectSpec {
+            name: "bouc-wen-hysteresis".into(),
+            expression: None,
+            parameters: numbers.map(|(name, value)| (name.to_owned(), value)).into(),
+        });
+        let mut record = seen(&spec, 3);
+        record.step.clear();
+        let mut motion = Motion::of(&record, spec.mass_kg, Tolerances::default()).expect("sound");
+        let simulated = |motion: &Motion, lasting: bool| -> Vec<Simulated> {
+            let measured = Measured::new(motion).expect("driven");
+            let mut specimens = measured.specimens(&spec).expect("a model");
+            assert!(specimens.lasting);
+            specimens.lasting = lasting;
+            let still = measured.still(crate::identify::problem::Part::HeldOut);
+            let held_out = measured.held_out.iter().zip(&still);
+            held_out
+                .map(|(k, still)| measured.simulate(&mut specimens, &motion.windows[*k], &[0.0; 6], still))
+                .collect()
+        };
+        let walked = simulated(&motion, true);
+        motion.windows.iter_mut().for_each(|window| window.warm_from = 0);
+        let from_the_beginning = simulated(&motion, false);
+        let farthest = |of: &Simulated| of.iter().fold(0.0_f64, |most, (_, d)| most.max(d.abs()));
+        for (walked, whole) in walked.iter().zip(&from_the_beginning) {
+            let apart = walked.iter().zip(whole).fold(0.0_f64, |most, (a, b)| most.max((a.1 - b.1).abs()));
+            assert!(apart < 1e-5 * farthest(whole), "{apart} m of {}", farthest(whole));
+        }
     }
 }

@@ -169,7 +169,13 @@ impl<const N: usize> General<N> {
         }
     }
 
-    /// Where the states of terms are that forget by a power law.
+    /// Where the states of terms are.
+    pub(super) fn hidden_states(&self) -> std::ops::Range<usize> {
+        let terms = self.system.mass_terms.iter().chain(&self.system.isolator_terms);
+        self.layout.terms..self.layout.terms + terms.map(|term| term.states()).sum::<usize>()
+    }
+
+    /// Where those are that forget by a power law.
     pub(super) fn remembering(&self) -> Vec<std::ops::Range<usize>> {
         let (mut at, mut out) = (self.layout.terms, Vec::new());
         for term in self.system.mass_terms.iter().chain(&self.system.isolator_terms) {

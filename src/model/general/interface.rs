@@ -104,6 +104,24 @@ impl<const N: usize> Specimen for General<N> {
         }
     }
 
+    fn hidden(&self) -> Vec<f64> {
+        let jointed = self.system.joint_half_width_m.is_some();
+        if jointed || self.system.isolator_terms.iter().any(|term| term.retraces()) {
+            return Vec::new();
+        }
+        self.y[self.hidden_states()].to_vec()
+    }
+
+    fn resume(&mut self, hidden: &[f64], now: (f64, f64)) {
+        let states = self.hidden_states();
+        if states.len() == hidden.len() {
+            self.at_rest = false;
+            self.y[states].copy_from_slice(hidden);
+            (self.y[0], self.y[1]) = now;
+            self.settle_mode();
+        }
+    }
+
     fn retrace(&mut self, reversals_m: &mut dyn Iterator<Item = f64>, now: (f64, f64)) {
         // What is in series with a joint moves otherwise than the mass.
         let jointed = self.system.joint_half_width_m.is_some();
