@@ -69,7 +69,7 @@ pub fn along_straight_lines(force_m_s2: &[f64], displacement_m: &[f64], sample_r
     let level = |bins: &[Complex64]| bins.iter().map(|z| z.norm_sqr()).sum::<f64>() / bins.len() as f64;
     let upper = (UPPER * spectrum.bins.len() as f64) as usize;
     let are_lines =
-        |motion| unlike_a_mass(&spectrum, motion, &passed) < unlike_a_mass(&spectrum, motion, |_| 1.0);
+        |motion| unlike_a_mass(&spectrum, motion, passed) < unlike_a_mass(&spectrum, motion, |_| 1.0);
     let fills = level(&spectrum.bins[upper..]) > LITTLE * level(&spectrum.bins[1..]);
     if fills && motion.as_ref().is_none_or(are_lines) {
         return force_m_s2.to_vec();
