@@ -10,6 +10,7 @@ use super::thresholds::Thresholds;
 use super::trial::{self, Response, Trial};
 use super::{candidates, verdict};
 use crate::identify::least_squares::Settings;
+use crate::identify::problem::Part;
 use crate::identify::response::{self, Laid, PROMISED};
 use crate::model::{EffectSpec, ModelSpec, Scales};
 
@@ -98,7 +99,23 @@ impl Searcher<'_> {
         let doubt = doubt(&shape.expression, taken.response.as_ref()?, thresholds);
         let fitted =
             trial::respond(self.measured.as_ref()?, &self.with_shape(taken, shape.with), None, LONG)?;
-        (verdict::gain(&fitted, taken) > 0.0).then(|| fitted.training_gain(taken) - doubt)
+        let beyond_one = 1.0 - self.share_of_one_part(&fitted, taken).unwrap_or(0.0);
+        (verdict::gain(&fitted, taken) > 0.0).then(|| beyond_one * fitted.training_gain(taken) - doubt)
+    }
+
+    /// Share of one part, the one with most, in what a trial brings to a record without steps: where the mass jumps, or leaves its branch a little
+    /// sooner than the model, any shape leads back. Nothing in one of steps, of which some tell by themselves.
+    fn share_of_one_part(&self, with: &Trial, from: &Trial) -> Option<f64> {
+        let measured = self.measured.as_ref().filter(|measured| measured.is_without_steps())?;
+        let costs = |trial: &Trial| {
+            let training = &trial.response.as_ref()?.training;
+            measured.costs(&trial.refit.spec, Part::Training, training)
+        };
+        let gained: Vec<f64> =
+            costs(from)?.iter().zip(costs(with)?).map(|(from, with)| from - with).collect();
+        let all = gained.iter().sum::<f64>();
+        let most = gained.into_iter().fold(0.0, f64::max);
+        (all > 0.0).then(|| (most / all).min(1.0))
     }
 
     /// The shape that brings most beside a trial; none where the simulated response does not decide.

@@ -55,6 +55,12 @@ impl Measured<'_> {
         Some(steps.iter().zip(&laid.nuisances).zip(self.windows(part)).map(of).collect())
     }
 
+    /// What each step of a part has of the cost.
+    pub fn costs(&self, spec: &ModelSpec, part: Part, laid: &Laid) -> Option<Vec<f64>> {
+        let each = self.lay_each(spec, part, &laid.values, &laid.nuisances)?;
+        Some(each.into_iter().map(|(cost, _)| cost).collect())
+    }
+
     /// What is left of A (m/s2) and of D (m) in the windows of a part with what is estimated beside the model taken out, each with the number of its
     /// window; nothing of a channel that was not measured. Where samples of A do not count the others stand for them: tones keep their size.
     pub fn misfits(&self, spec: &ModelSpec, part: Part, laid: &Laid) -> Option<Vec<(usize, [Vec<f64>; 2])>> {

@@ -253,6 +253,11 @@ impl<'a> Measured<'a> {
         is_long(self.motion)
     }
 
+    /// Whether the record has no steps.
+    pub fn is_without_steps(&self) -> bool {
+        self.motion.windows.iter().all(|window| window.random)
+    }
+
     /// Share of the steps of training in which impacts kick the table: what drives those is known as it was measured, not as a sine.
     pub fn kicked(&self) -> f64 {
         let kicked = |k: &&usize| self.motion.windows[**k].drive_noise_m_s2 > 0.0;
