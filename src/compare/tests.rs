@@ -379,7 +379,11 @@ fn a_force_that_reaches_far_up_the_band_is_no_noise() {
         record.displacement_m.iter_mut().for_each(|d| *d += hiss(3e-3 * size));
         let error = compare(&record, &spec).expect("comparable").error;
         let (left, floor) = (error.nrmse_d.expect("measured"), error.noise_floor_d.expect("measured"));
-        assert!((0.5..2.0).contains(&(left / floor)), "{part_of_nyquist}: {left} {floor}");
+        // The displacement's noise is 3e-3 of it: the force's is made up for between its samples.
+        assert!((2.7e-3..5e-3).contains(&left), "{part_of_nyquist}: {left}");
+        // A motion that fills the band leaves no quiet part to tell its sensor's noise by: the floor is then an upper bound.
+        let least = if part_of_nyquist > 0.9 { 0.1 } else { 0.5 };
+        assert!((least..2.0).contains(&(left / floor)), "{part_of_nyquist}: {left} {floor}");
     }
 }
 

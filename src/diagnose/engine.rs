@@ -315,7 +315,8 @@ mod tests {
         let rms = (a.iter().map(|a| a * a).sum::<f64>() / a.len() as f64).sqrt();
         let record = Record {
             time_s: (0..a.len()).map(|i| i as f64 / RATE_HZ).collect(),
-            force_n: a.iter().map(|a| 2.0 * a).collect(),
+            // Of another course: with what drives it the motion may end.
+            force_n: a.iter().rev().map(|a| 2.0 * a).collect(),
             acceleration_m_s2: a.iter().map(|a| a.clamp(-2.5 * rms, 2.5 * rms)).collect(),
             ..Record::empty("cut off", Kind::Force, RATE_HZ)
         };
