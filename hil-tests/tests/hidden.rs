@@ -377,9 +377,18 @@ fn the_measured_damper_shows_memory_then_play() {
 
 #[test]
 fn an_effect_taken_out_of_the_catalogue_is_outside_it() {
-    let case =
-        hidden::make(&Recipe::of(10_114_210, &["backlash"], 0.12)).expect("the effect reaches its size");
-    let without = hidden::with_twin("backlash");
+    is_outside_without(10_114_210, "backlash", 0.12);
+}
+
+#[test]
+#[ignore = "minutes: `./test blind`"]
+fn an_effect_taken_out_that_others_come_near_is_outside_the_catalogue() {
+    is_outside_without(5_000_507, "stiffness-degradation", 0.08);
+}
+
+fn is_outside_without(seed: u64, name: &'static str, size: f64) {
+    let case = hidden::make(&Recipe::of(seed, &[name], size)).expect("the effect reaches its size");
+    let without = hidden::with_twin(name);
     let options = Options { without: without.clone(), ..Options::default() };
     let found = diagnose_together(&[(&case.record, &case.nominal)], &options).expect("a base record");
     assert_eq!(found.verdict, Verdict::OutsideCatalogue, "{:?}", found.effects);

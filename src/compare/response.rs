@@ -2,9 +2,8 @@
 
 use super::CompareError;
 use super::window::Window;
-use crate::identify::along_straight_lines;
 use crate::identify::imposed_on_component;
-use crate::identify::motion::ALONG_LINES;
+use crate::identify::motion::{self, ALONG_LINES};
 use crate::model::system::System;
 use crate::model::{ModelSpec, Observer, Regime, Specimen, build};
 use crate::record::quality::white_noise;
@@ -131,7 +130,7 @@ impl Measured {
         let lines = if record.kind == Kind::Force || short {
             // Its sign is the table's.
             let over_mass: Vec<f64> = drive.iter().map(|a| -a).collect();
-            along_straight_lines(&over_mass, &d, rate).into_iter().map(|f| -f).collect()
+            motion::driving(&over_mass, &d, rate)
         } else {
             Vec::new()
         };

@@ -127,18 +127,20 @@ impl Searcher<'_> {
         left.extend(measured.misfits(spec, Part::HeldOut, &response.held_out)?);
         left.sort_by_key(|(k, _)| *k);
         let rate_hz = self.motion.sample_rate_hz;
-        let lines = |channel: usize| {
-            let first = |k: usize| self.motion.windows[k].range.start;
-            let pieces: Vec<(usize, Vec<f64>)> =
-                left.iter().map(|(k, of)| (first(*k), of[channel].clone())).collect();
+        let lines = |channel: usize, sign: f64| {
+            let piece = |(k, of): &(usize, [Vec<f64>; 2])| {
+                (self.motion.windows[*k].range.start, of[channel].iter().map(|x| sign * x).collect())
+            };
+            let pieces: Vec<(usize, Vec<f64>)> = left.iter().map(piece).collect();
             find_left(&pieces, &self.motion.drive_m_s2, rate_hz)
         };
-        let (of_a, of_d) = (lines(0), lines(1));
-        let mut without = self.motion.clone();
         // The restoring acceleration is that of the mass, with the other sign.
-        without.restoring_m_s2.iter_mut().for_each(|r| *r = -*r);
+        let (of_a, of_d) = (lines(0, -1.0), lines(1, 1.0));
+        if of_a.is_empty() && of_d.is_empty() {
+            return None;
+        }
+        let mut without = self.motion.clone();
         of_a.iter().for_each(|line| line.take_out(&mut without.restoring_m_s2, rate_hz));
-        without.restoring_m_s2.iter_mut().for_each(|r| *r = -*r);
         of_d.iter().for_each(|line| line.take_out(&mut without.laser_m, rate_hz));
         let said = |channel: &str, unit: &str, line: &Line| {
             let (hz, amplitude) = (line.frequency_hz(), line.amplitude());
@@ -148,8 +150,7 @@ impl Searcher<'_> {
         };
         let of_a = of_a.iter().map(|line| said("acceleration of the mass", "m/s2", line));
         let of_d = of_d.iter().map(|line| said("displacement", "m", line));
-        let said: Vec<String> = of_a.chain(of_d).collect();
-        (!said.is_empty()).then_some((without, said))
+        Some((without, of_a.chain(of_d).collect()))
     }
 
     /// What a model's response says of each record's gains; nothing where it does not follow them.

@@ -1,6 +1,6 @@
 //! What a force shows that no motion answers: an upper bound of its noise where it fills the whole band.
 
-use super::spectral::{at_least, parts_of_band, stretches};
+use super::spectral::{at_least, cut_up, parts_of_band};
 use crate::signal::Spectrum;
 use nalgebra::{Matrix3, Vector3};
 use realfft::num_complex::Complex64;
@@ -26,22 +26,16 @@ pub(super) fn beside_answers(told: f64, force: &[f64], answers: &[&[f64]], sampl
 /// and Piersol, Random Data, 4th ed. 2010, ch. 7 and 13). None where the channels are too short to average over. Other bends of the
 /// restoring force and the motion's own noise only raise it.
 fn unanswered_rms(force: &[f64], motion: &[f64], sample_rate_hz: f64) -> Option<f64> {
-    let (length, every, count) = stretches(force.len());
+    let count = cut_up(force).count();
     if motion.len() != force.len() || count < FEWEST * INPUTS {
         return None;
     }
-    let starts = (0..count).map(|i| i * every * (length / 2).max(1));
     let spectrum = |channel: &[f64]| Spectrum::tapered(channel, sample_rate_hz);
-    let spectra: Vec<[Spectrum; INPUTS + 1]> = starts
-        .map(|start| {
-            let motion = &motion[start..start + length];
+    let spectra: Vec<[Spectrum; INPUTS + 1]> = cut_up(force)
+        .zip(cut_up(motion))
+        .map(|(force, motion)| {
             let power = |exponent| motion.iter().map(|d| d.powi(exponent)).collect::<Vec<f64>>();
-            [
-                spectrum(&force[start..start + length]),
-                spectrum(motion),
-                spectrum(&power(2)),
-                spectrum(&power(3)),
-            ]
+            [spectrum(force), spectrum(motion), spectrum(&power(2)), spectrum(&power(3))]
         })
         .collect();
     let first = &spectra.first()?[0];
@@ -84,14 +78,12 @@ fn unexplained(spectra: &[[Spectrum; INPUTS + 1]], bin: usize) -> f64 {
 /// Coherence of two channels in a part of the band (over half the sampling rate): the median over its bins, 0 for channels that are too short to
 /// average over (Bendat and Piersol, Random Data, 4th ed. 2010, ch. 5).
 pub(super) fn shared(one: &[f64], other: &[f64], band: Range<f64>) -> f64 {
-    let (length, every, count) = stretches(one.len());
-    if other.len() != one.len() || count < FEWEST {
+    if other.len() != one.len() || cut_up(one).count() < FEWEST {
         return 0.0;
     }
-    let pairs: Vec<[Spectrum; 2]> = (0..count)
-        .map(|i| i * every * (length / 2).max(1))
-        .map(|start| [one, other].map(|x| Spectrum::tapered(&x[start..start + length], 1.0)))
-        .collect();
+    let both = cut_up(one).zip(cut_up(other));
+    let pairs: Vec<[Spectrum; 2]> =
+        both.map(|(one, other)| [one, other].map(|x| Spectrum::tapered(x, 1.0))).collect();
     let of_bin = |bin: usize| {
         let sums = pairs.iter().fold((0.0, 0.0, Complex64::ZERO), |(x, y, xy), [of_x, of_y]| {
             let (a, b) = (of_x.bins[bin], of_y.bins[bin]);

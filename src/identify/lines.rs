@@ -51,7 +51,11 @@ const LIKE_A_MASS: f64 = 0.2;
 /// multiples of the rate is seen at f again, when the motion is sampled, as a mass answers it there, by its inertia, over how it answers f,
 /// held by a spring (Unser 2000, Sampling - 50 years after Shannon). A force that fills the band up to its very end may be lines, or nearly:
 /// it is left as it is where the displacement (m, none where there is none) answers it so rather.
-pub fn along_straight_lines(force_m_s2: &[f64], displacement_m: &[f64], sample_rate_hz: f64) -> Vec<f64> {
+pub(super) fn along_straight_lines(
+    force_m_s2: &[f64],
+    displacement_m: &[f64],
+    sample_rate_hz: f64,
+) -> Vec<f64> {
     let spectrum = Spectrum::of(force_m_s2, sample_rate_hz);
     let motion =
         (displacement_m.len() == force_m_s2.len()).then(|| Spectrum::of(displacement_m, sample_rate_hz));

@@ -29,7 +29,6 @@ mod windows;
 pub use applied::{applied_noise, force_on_time};
 pub use component::{answered, imposed_on_component};
 pub use jumpless::noise_of_whole_beside_jumps;
-pub use lines::along_straight_lines;
 
 use crate::record::{Record, mended::mended};
 use std::borrow::Cow;

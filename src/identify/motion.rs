@@ -353,7 +353,7 @@ impl Motion {
 
 /// What is to drive a simulation, as an acceleration of the table (m/s2), so that a force over the mass moves it as it did although a solver
 /// joins samples by lines.
-pub(super) fn driving(over_mass_m_s2: &[f64], displacement_m: &[f64], rate: f64) -> Vec<f64> {
+pub(crate) fn driving(over_mass_m_s2: &[f64], displacement_m: &[f64], rate: f64) -> Vec<f64> {
     along_straight_lines(over_mass_m_s2, displacement_m, rate).into_iter().map(|f| -f).collect()
 }
 

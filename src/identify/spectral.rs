@@ -29,11 +29,17 @@ pub(super) fn parts_of_band() -> impl Iterator<Item = (f64, f64)> {
 const SECOND_OF_FIVE: [f64; 2] = [-0.495, 0.56];
 
 /// Stretches of a channel that overlap by half, so many samples each: every how many are looked at, and how many that is.
-pub(super) fn stretches(samples: usize) -> (usize, usize, usize) {
+fn stretches(samples: usize) -> (usize, usize, usize) {
     let length = STRETCH.min(samples);
     let there = samples.saturating_sub(length) / (length / 2).max(1) + 1;
     let every = there.div_ceil(STRETCHES);
     (length, every, there.div_ceil(every))
+}
+
+/// Those that are looked at.
+pub(super) fn cut_up(channel: &[f64]) -> impl Iterator<Item = &[f64]> {
+    let (length, every, _) = stretches(channel.len());
+    channel.windows(length.max(1)).step_by((length / 2).max(1)).step_by(every)
 }
 
 /// Standard deviation of what one part of the band tells of the noise of a channel with so many samples, over the noise: a median of
@@ -59,13 +65,11 @@ pub fn stretches_noise_rms(channel: &[f64], sample_rate_hz: f64) -> f64 {
 /// Noise that stretches of a channel tell: by the upper band, and by where it is level below the edge of a filter, if one took some of
 /// it out of the upper band.
 fn told_by_stretches(channel: &[f64], sample_rate_hz: f64) -> (f64, Option<f64>) {
-    let (length, every, _) = stretches(channel.len());
     let parts_of = |stretch: &[f64]| {
         let spectrum = Spectrum::tapered(stretch, sample_rate_hz);
         parts_of_band().map(|(low, high)| spectrum.white_noise_rms(low, high)).collect()
     };
-    let stretches = channel.windows(length.max(1)).step_by((length / 2).max(1)).step_by(every);
-    let told: Vec<Vec<f64>> = stretches.map(parts_of).collect();
+    let told: Vec<Vec<f64>> = cut_up(channel).map(parts_of).collect();
     let parts: Vec<f64> = (0..LOWER_PARTS.len() + PARTS_OF_BAND.len())
         .map(|part| {
             let mut of_part: Vec<f64> = told.iter().map(|parts| parts[part]).collect();

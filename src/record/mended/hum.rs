@@ -85,8 +85,8 @@ pub fn may_be_hum(frequency_hz: f64) -> bool {
 /// The lines of the mains in a channel; `input` is what was imposed, whose harmonics are no hum.
 pub(super) fn find(channel: &[f64], input: &[f64], rate_hz: f64) -> Vec<Line> {
     let loudest = LOUDEST * rms_about_mean(channel);
-    lines(rate_hz, |near_hz, block| {
-        let blocks = (channel.len() / (block / 2)).saturating_sub(1);
+    lines(rate_hz, |near_hz| {
+        let blocks = (channel.len() / (block_of(rate_hz) / 2)).saturating_sub(1);
         let parts = blocks.div_ceil(MOST);
         let length = channel.len() / parts.max(1);
         let bounds = |part: usize| {
@@ -96,8 +96,7 @@ pub(super) fn find(channel: &[f64], input: &[f64], rate_hz: f64) -> Vec<Line> {
         line(parts, |part| {
             let samples = bounds(part);
             let piece = &channel[samples.clone()];
-            let tone =
-                tone(&blocks_of(piece, 0, block, rate_hz, near_hz), samples.clone(), rate_hz, near_hz)?;
+            let tone = tone(&blocks_of(piece, 0, rate_hz, near_hz), samples.clone(), rate_hz, near_hz)?;
             let hums = tone.phasor.norm() < loudest
                 && input.get(samples).is_some_and(|input| !is_imposed(tone.frequency_hz, input, rate_hz))
                 && stands_out(tone.frequency_hz, piece, rate_hz);
@@ -108,8 +107,8 @@ pub(super) fn find(channel: &[f64], input: &[f64], rate_hz: f64) -> Vec<Line> {
 
 /// The same in what a model leaves of pieces of a channel, each with its first sample: what was imposed does not hide it there.
 pub fn find_left(pieces: &[(usize, Vec<f64>)], input: &[f64], rate_hz: f64) -> Vec<Line> {
-    lines(rate_hz, |near_hz, block| {
-        let of_piece = |(first, left): &(usize, Vec<f64>)| blocks_of(left, *first, block, rate_hz, near_hz);
+    lines(rate_hz, |near_hz| {
+        let of_piece = |(first, left): &(usize, Vec<f64>)| blocks_of(left, *first, rate_hz, near_hz);
         let blocks: Vec<Block> = pieces.iter().flat_map(of_piece).collect();
         let parts = blocks.len().div_ceil(MOST);
         let length = blocks.len().div_ceil(parts.max(1));
@@ -132,13 +131,12 @@ pub fn find_left(pieces: &[(usize, Vec<f64>)], input: &[f64], rate_hz: f64) -> V
 }
 
 /// Lines near the frequencies of the mains and, where there is one, near its multiples.
-fn lines(rate_hz: f64, near: impl Fn(f64, usize) -> Option<Line>) -> Vec<Line> {
-    let block = (BLOCK_S * rate_hz).round() as usize / 2 * 2;
+fn lines(rate_hz: f64, near: impl Fn(f64) -> Option<Line>) -> Vec<Line> {
     let mut out = Vec::new();
     for mains_hz in MAINS_HZ {
         for multiple in 1..=MULTIPLES {
             let near_hz = f64::from(multiple) * mains_hz;
-            let line = if near_hz > HIGHEST * rate_hz { None } else { near(near_hz, block) };
+            let line = if near_hz > HIGHEST * rate_hz { None } else { near(near_hz) };
             match line {
                 Some(line) => out.push(line),
                 None if multiple == 1 => break,
@@ -201,9 +199,15 @@ struct Block {
     sum: Complex64,
 }
 
+/// Samples of a block: two hops.
+fn block_of(rate_hz: f64) -> usize {
+    (BLOCK_S * rate_hz).round() as usize / 2 * 2
+}
+
 /// Blocks of a piece of a channel that begins at such a sample, overlapping by half. Second differences keep the motion out of the band; each
 /// block is tapered (Hann).
-fn blocks_of(x: &[f64], first: usize, block: usize, rate_hz: f64, near_hz: f64) -> Vec<Block> {
+fn blocks_of(x: &[f64], first: usize, rate_hz: f64, near_hz: f64) -> Vec<Block> {
+    let block = block_of(rate_hz);
     let turn = Complex64::from_polar(1.0, -TAU * near_hz / rate_hz);
     let taper: Vec<f64> = hann(block).collect();
     let hop = block / 2;
@@ -233,7 +237,7 @@ fn tone(blocks: &[Block], samples: Range<usize>, rate_hz: f64, near_hz: f64) -> 
     if count < FEWEST {
         return None;
     }
-    let block = (BLOCK_S * rate_hz).round() as usize / 2 * 2;
+    let block = block_of(rate_hz);
     let centre_s = |of: &Block| (of.first + block / 2) as f64 / rate_hz;
     let turned = |off_hz: f64, blocks: &[Block]| -> Complex64 {
         let back = |of: &Block| Complex64::from_polar(1.0, -TAU * off_hz * centre_s(of));
