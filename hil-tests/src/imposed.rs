@@ -105,6 +105,15 @@ pub fn friction(rig: Rig, friction_n: f64, seed: u64) -> Record {
     })
 }
 
+/// A damper whose force grows with a power of the velocity beside a rig's spring and dashpot: N at 1 m/s, and the power.
+pub fn orifice(rig: Rig, [force_n, power]: [f64; 2], seed: u64) -> Record {
+    record("orifice", rig, seed, move |[x0, x1], h_s| {
+        let velocity_m_s = (x1 - x0) / h_s;
+        let drag_n = force_n * velocity_m_s.abs().powf(power) * velocity_m_s.signum();
+        rig.stiffness_n_m * x1 + rig.damping_n_s_m * velocity_m_s + drag_n
+    })
+}
+
 /// A rig's spring and dashpot behind a joint with so much play, m: no force while it is open, the element relaxes then.
 pub fn joint(rig: Rig, play_m: f64, seed: u64) -> Record {
     let mut element = 0.0_f64;

@@ -2,7 +2,7 @@
 
 use hil_tests::imposed::{
     DASHPOT, FREE_DASHPOT, Rig, SPRING, friction, growing, hysteresis, hysteresis_between_rests, joint,
-    nominal, pressed_and_held, rested, stepped,
+    nominal, orifice, pressed_and_held, rested, stepped,
 };
 use shaketable::compare::compare;
 use shaketable::diagnose::adding::add;
@@ -86,6 +86,19 @@ fn a_guess_of_half_of_what_is_there_is_no_missing_effect() {
 }
 
 #[test]
+fn what_is_named_and_leaves_more_than_noise_says_so() {
+    // The catalogue has no force that grows with a power of the velocity; what comes near stood there as if it were all.
+    let found =
+        diagnose(&orifice(SPRING, [2000.0, 0.35], 14), &nominal(SPRING), &Options::default()).expect("sound");
+    assert_eq!(found.verdict, Verdict::Missing, "{:?}", found.refused);
+    let left = found.left.as_ref().expect("more than noise");
+    assert!((left.times_noise / (found.error_after / found.noise_floor) - 1.0).abs() < 1e-9, "{left:?}");
+    assert!(left.times_noise > 2.0 && found.text().contains("Not all of it"), "{}", found.text());
+    // What was refused beside one that is named says nothing against it.
+    assert!(found.effects.iter().all(|effect| effect.probability > 0.3), "{:?}", found.effects);
+}
+
+#[test]
 fn play_is_told_alone() {
     // Where the joint opens and closes falls between samples; a second effect made up for that.
     for (play_m, seed) in [(2.5e-3, 122), (1.3e-3, 57)] {
@@ -93,6 +106,7 @@ fn play_is_told_alone() {
         let play = &found.effects[0].parameters["b_m"];
         assert!((play.value - play_m).abs() < 5e-6, "{play:?}");
         is_at_the_floor(&found);
+        assert_eq!(found.left, None);
     }
 }
 

@@ -1,12 +1,15 @@
 //! Signs and units that only a model can tell: a mass that answers by a thousand times what the model's mass and stiffness let it, or to
 //! the other side and so that it would give off energy, is measured in another unit, or wired the other way round.
 //!
+//! Of a component, that its force is what the model's line takes by no factor that a guess is off by.
+//!
 //! [`examine`] looks where neither damping nor a stiffness that is off matters, well below and well above what the model alone swings at.
 //! Comparison and diagnosis call it beside the record's own quality, which needs no model.
 
 use crate::model::ModelSpec;
 use crate::model::system::System;
 use crate::record::data::Role;
+use crate::record::kinematic::typical_cycle;
 use crate::record::quality::{Finding, Problem, Severity};
 use crate::record::{Kind, Record};
 use crate::signal::Spectrum;
@@ -23,8 +26,19 @@ const ALIKE: f64 = 0.9;
 const NEAR: f64 = 1.5;
 /// Size of the imaginary part over the real one that a sign or unit has at most.
 const SIDEWAYS: f64 = 0.3;
+/// Samples of a component that say anything.
+const FEWEST: usize = 100;
 /// Share of the power that force and speed could have, that a turned sign gives off at least.
 const GIVEN_OFF: f64 = 0.05;
+
+/// Times that a component's force is what its model says, or less than it by, from which on that is no guess but a unit.
+const FAR: f64 = 150.0;
+/// Correlation of a component's force with the model's, with the other sign, from which on one of them is turned; and share of the energy that
+/// it could take up, at most, when it is.
+const TURNED: f64 = 0.2;
+const TAKEN_UP: f64 = 0.01;
+/// Velocities of a component are told over this share of a cycle.
+const SHORT: f64 = 0.05;
 
 /// What is wrong with how a channel answers.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,6 +49,9 @@ enum Fault {
 
 /// Findings of a driven mass whose channels do not say themselves what sign and unit they have.
 pub fn examine(record: &Record, spec: &ModelSpec) -> Vec<Finding> {
+    if record.kind == Kind::Component {
+        return of_component(record, spec).into_iter().collect();
+    }
     let Some(answers) = answers(record) else { return Vec::new() };
     let rate = record.sample_rate_hz;
     let Ok(mass_kg) = System::compile(spec, 1.0 / rate).map(|system| system.mass_kg) else {
@@ -79,6 +96,44 @@ fn answers(record: &Record) -> Option<Vec<Role>> {
         Kind::Component => return None,
     };
     Some(roles.into_iter().filter(there).collect())
+}
+
+/// What is wrong with a component's force, laid against the model's line: of another size by hundreds, or against it and without taking up any
+/// energy, as nothing does that has a spring or a dashpot.
+fn of_component(record: &Record, spec: &ModelSpec) -> Option<Finding> {
+    let (d, f) = (&record.displacement_m, &record.force_n);
+    let n = d.len();
+    if n != f.len() || n < FEWEST {
+        return None;
+    }
+    let mean = |x: &[f64]| x.iter().sum::<f64>() / n as f64;
+    let (middle_m, mean_n) = (mean(d), mean(f));
+    let cycle = typical_cycle(d).unwrap_or(n as f64);
+    let reach = ((SHORT * cycle) as usize).clamp(1, n / 4);
+    let (stiffness, damping) = (*spec.isolator.stiffness_n_m.first()?, spec.isolator.damping_n_s_m);
+    let (mut there, mut modelled, mut both, mut taken, mut could) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for i in reach..n - reach {
+        let velocity = (d[i + reach] - d[i - reach]) * record.sample_rate_hz / (2 * reach) as f64;
+        let (force, model) = (f[i] - mean_n, stiffness * (d[i] - middle_m) + damping * velocity);
+        there += force * force;
+        modelled += model * model;
+        both += force * model;
+        taken += force * velocity;
+        could += (force * velocity).abs();
+    }
+    if there == 0.0 || modelled == 0.0 {
+        return None;
+    }
+    let (factor, alike) = ((there / modelled).sqrt(), both / (there * modelled).sqrt());
+    // Effects of the model may do what its line does not.
+    let fault = if spec.effects.is_empty() && !(1.0 / FAR..FAR).contains(&factor) {
+        Fault::Unit(factor)
+    } else if alike < -TURNED && taken < TAKEN_UP * could {
+        Fault::Sign
+    } else {
+        return None;
+    };
+    Some(finding(Role::Force, Role::Displacement, fault))
 }
 
 fn is_gravity(factor: f64) -> bool {
@@ -145,6 +200,11 @@ fn fault(
 
 fn finding(role: Role, input: Role, fault: Fault) -> Finding {
     let channel = role.name();
+    let of_model = if role == Role::Force && input == Role::Displacement {
+        "the stiffness and damping of the model, which may be what is so far off"
+    } else {
+        "the mass of the model"
+    };
     let other = if role == input { "what answers it".to_owned() } else { input.name().to_owned() };
     let (problem, text, figure) = match fault {
         Fault::Sign => (
@@ -154,11 +214,11 @@ fn finding(role: Role, input: Role, fault: Fault) -> Finding {
         ),
         Fault::Unit(factor) => {
             let times = factor.max(1.0 / factor);
+            let times = if times < 100.0 { format!("{times:.5}") } else { format!("{times:.0}") };
             let is_large = (factor > 1.0) == (role != input);
             let what = if is_large { "large" } else { "small" };
-            let text = format!(
-                "{channel} is {times:.6} times too {what} for {other} and the mass of the model: wrong unit"
-            );
+            let text =
+                format!("{channel} is {times} times too {what} for {other} and {of_model}: wrong unit");
             (Problem::WrongUnit, text, factor)
         }
     };
@@ -245,6 +305,41 @@ mod tests {
             let in_g = Record { table_acceleration_m_s2, ..base.clone() };
             assert_eq!(told(&in_g), Some((Problem::WrongUnit, Some("table_acceleration_m_s2"))));
         }
+    }
+
+    #[test]
+    fn a_component_that_gives_off_energy_or_is_of_another_size_by_hundreds_is_told() {
+        // Pressed to and fro, with friction that is most of its force, and its spring alone.
+        let of = |friction_n: f64, viscous: f64| {
+            let mut record = Record::empty("component", Kind::Component, RATE_HZ);
+            for i in 0..4000 {
+                let turn = 6.0 * f64::from(i) / RATE_HZ;
+                let (d, v) = (0.01 * turn.sin(), 0.06 * turn.cos());
+                record.time_s.push(f64::from(i) / RATE_HZ);
+                record.displacement_m.push(d);
+                record.force_n.push(4e4 * d + viscous * v + friction_n * v.signum());
+            }
+            record
+        };
+        let model = oscillator(1.0, 5e4, 900.0);
+        for (friction_n, viscous) in [(0.0, 0.0), (0.0, 800.0), (1000.0, 800.0)] {
+            let sound = of(friction_n, viscous);
+            let told = |force: f64, displacement: f64| {
+                let record = Record {
+                    force_n: scaled(&sound.force_n, force),
+                    displacement_m: scaled(&sound.displacement_m, displacement),
+                    ..sound.clone()
+                };
+                examine(&record, &model).first().map(|finding| finding.problem)
+            };
+            assert_eq!([told(1.0, 1.0), told(0.1, 1.0), told(10.0, 1.0)], [None; 3]);
+            assert_eq!([told(-1.0, 1.0), told(1.0, -1.0)], [Some(Problem::WrongSign); 2]);
+            assert_eq!([told(1e-3, 1.0), told(1.0, 1e3)], [Some(Problem::WrongUnit); 2]);
+        }
+        // What the model does not say: neither a spring that pushes on, nor a mass of its own.
+        let mut falling = of(0.0, 800.0);
+        falling.force_n.iter_mut().zip(&falling.displacement_m).for_each(|(f, d)| *f -= 8e4 * d);
+        assert_eq!(examine(&falling, &model), vec![]);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use super::anew::ASTRAY;
 use super::engine::Options;
 use super::instruments::Finding;
 use super::next_test::{self, Reach};
-use super::report::{Diagnosis, NamedEffect, ParameterEstimate, Rung, StepErrors};
+use super::report::{Diagnosis, Left, NamedEffect, ParameterEstimate, Rung, StepErrors};
 use super::search::{Search, Searcher};
 use super::trial::{Response, Trial};
 use super::verdict::{self, Decision, Refused, Verdict};
@@ -97,6 +97,7 @@ impl Composer<'_> {
             next_test: if verdict == Verdict::Ambiguous { self.next_test(search, &decision) } else { None },
             ambiguous_with: decision.ambiguous_with,
             missing_force: missing_force::map(problem, &search.base.refit, Part::All),
+            left: self.left(chosen, verdict, after.nrmse() / after.noise_floor(self.motion)),
             steps: self.steps(&without.unwrap_or_default(), &with),
             ladder,
             reidentified: chosen.refit.fitted(self.nominal),
@@ -154,6 +155,14 @@ impl Composer<'_> {
             });
         }
         out
+    }
+
+    /// What is left beside effects that were named all the same.
+    fn left(&self, chosen: &Trial, verdict: Verdict, times_noise: f64) -> Option<Left> {
+        let more = times_noise > self.options.thresholds.most_over_noise(self.motion);
+        let named = !chosen.names.is_empty() && verdict != Verdict::OutsideCatalogue;
+        let force = || missing_force::map(self.searcher.problem(), &chosen.refit, Part::All);
+        (more && named).then(|| Left { times_noise, force: force() })
     }
 
     fn refused(&self, decision: &Decision) -> Vec<Refused> {

@@ -16,6 +16,24 @@ const CLEARLY_LESS: f64 = 0.7;
 /// Share of what an explanation of a component's force leaves that a line in time takes away where the force drifts.
 const DRIFTS: f64 = 0.2;
 
+/// Forces to one side at both ends of a cycle: none, and two that grow with it.
+const EVEN: usize = 3;
+
+/// Time and what is left, sample by sample, without their parts along the forces to one side that go before them: in cycles that grow, such a
+/// force grows too, and is no drift.
+fn beside_one_side(mut left: Vec<[f64; EVEN + 2]>) -> impl Iterator<Item = [f64; 2]> {
+    for one in 0..EVEN {
+        let product = |other: usize| left.iter().map(|of| of[one] * of[other]).sum::<f64>();
+        let power = product(one);
+        let shares: Vec<f64> = (one + 1..EVEN + 2).map(|other| product(other) / power.max(1e-300)).collect();
+        for of in &mut left {
+            let along = of[one];
+            of[one + 1..].iter_mut().zip(&shares).for_each(|(other, share)| *other -= share * along);
+        }
+    }
+    left.into_iter().map(|[.., time, force]| [time, force])
+}
+
 impl Searcher<'_> {
     /// Errors of the simulated response step by step, each with the number of its window: with what belongs to each step estimated
     /// where the response was fitted, else from the measured start.
@@ -87,21 +105,22 @@ impl Searcher<'_> {
         let problem = self.problem();
         let modelled = problem.restoring(&trial.refit.spec, trial.refit.zero_m, Part::All)?;
         let force = &self.motion.restoring_m_s2;
-        let mut left: Vec<(f64, f64)> = Vec::new();
+        let mut left: Vec<[f64; EVEN + 2]> = Vec::new();
         for (k, window) in self.motion.windows.iter().enumerate() {
             let samples = problem.samples(window).zip(&modelled[k]).enumerate();
             // What friction holds at rest is no drift.
             let counted =
                 samples.filter(|(i, (n, _))| problem.weight(k, *i) > 0.0 && !self.motion.is_held_at(*n));
-            left.extend(counted.map(|(_, (n, model))| (n as f64, force[n] - model)));
+            left.extend(counted.map(|(_, (n, model))| {
+                let d = self.motion.displacement_m[n] + trial.refit.zero_m;
+                [1.0, d.abs(), d * d, n as f64, force[n] - model]
+            }));
         }
-        let count = left.len().max(1) as f64;
-        let (middle, mean) = left.iter().fold((0.0, 0.0), |(n, r), of| (n + of.0 / count, r + of.1 / count));
         let (mut along, mut across, mut power) = (0.0, 0.0, 0.0);
-        for (n, r) in left {
-            along += (n - middle).powi(2);
-            across += (n - middle) * (r - mean);
-            power += (r - mean).powi(2);
+        for [n, r] in beside_one_side(left) {
+            along += n * n;
+            across += n * r;
+            power += r * r;
         }
         if along == 0.0 || across.powi(2) < DRIFTS * along * power {
             return None;

@@ -62,6 +62,16 @@ pub struct StepErrors {
     pub noise_floor: f64,
 }
 
+/// What the named effects leave of a record of another rig, which no few lines of a model tell to within a good sensor's noise: they stand,
+/// and are not all there is.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Left {
+    /// Held-out error over what the noise alone makes.
+    pub times_noise: f64,
+    /// The force that is still missing.
+    pub force: Option<MissingForce>,
+}
+
 /// The whole answer. Errors are NRMSE of the held-out steps: RMS of the error over RMS of the
 /// measured signal, the mean square of A's and D's where both were measured.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -86,6 +96,8 @@ pub struct Diagnosis {
     pub next_test: Option<NextTest>,
     /// What is left over displacement and velocity after re-identification.
     pub missing_force: Option<MissingForce>,
+    /// What the named effects leave, where that is more than noise.
+    pub left: Option<Left>,
     /// Error ladder.
     pub ladder: Vec<Rung>,
     /// Errors step by step.
@@ -138,6 +150,10 @@ impl Diagnosis {
             100.0 * self.error_after,
             100.0 * self.noise_floor
         ));
+        if let Some(left) = &self.left {
+            line(left.sentence());
+            left.force.iter().for_each(|force| tell(&mut line, "What is still missing", force));
+        }
         for effect in &self.effects {
             line(format!("  {} (probability {:.2})", effect.name, effect.probability));
             for (name, p) in &effect.parameters {
@@ -176,20 +192,35 @@ impl Diagnosis {
             }
         }
         if let Some(force) = &self.missing_force {
-            line(format!(
-                "What is missing after re-identification: {:.0} % of it is a surface over D and D', {:.0} % lies in contact ({:.0} % of the time)",
-                100.0 * force.explained_by_surface,
-                100.0 * force.power_in_contact,
-                100.0 * force.time_in_contact
-            ));
-            if let Some(draft) = &force.expression {
-                line(format!("  draft: {} (explains {:.0} %)", draft.expression, 100.0 * draft.explains));
-            }
+            tell(&mut line, "What is missing after re-identification", force);
         }
         if let Some(test) = &self.next_test {
             line(format!("Next test: {} - {}", test.title, test.reason));
         }
         out
+    }
+}
+
+/// Says where a missing force is, and what it may be.
+fn tell(line: &mut impl FnMut(String), what: &str, force: &MissingForce) {
+    line(format!(
+        "{what}: {:.0} % of it is a surface over D and D', {:.0} % lies in contact ({:.0} % of the time)",
+        100.0 * force.explained_by_surface,
+        100.0 * force.power_in_contact,
+        100.0 * force.time_in_contact
+    ));
+    if let Some(draft) = &force.expression {
+        line(format!("  draft: {} (explains {:.0} %)", draft.expression, 100.0 * draft.explains));
+    }
+}
+
+impl Left {
+    /// That something is left, in words.
+    pub fn sentence(&self) -> String {
+        format!(
+            "Not all of it: what is named stands, but the error that is left is {:.1} times what noise alone makes",
+            self.times_noise
+        )
     }
 }
 

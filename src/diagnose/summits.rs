@@ -303,7 +303,8 @@ fn with_shape_of(trial: &Trial, index: usize, scales: &Scales) -> Option<Trial> 
         of.parameters.entry(shape.name.to_owned()).or_insert(default);
     }
     let mut shaped = with_effect(trial.clone(), spec, index, scales);
-    for Shape { name, limits: (low, high), .. } in shapes {
+    for Shape { name, limits, along, .. } in shapes {
+        let (low, high) = if trial.response.is_some() { limits } else { along };
         let key = format!("effect[{index}].{name}");
         let Refit { numbers, .. } = &mut shaped.refit;
         let numbers = numbers.numbers.iter().zip(&mut numbers.free);

@@ -131,7 +131,7 @@ pub fn decide(search: &Search, searcher: &Searcher<'_>, thresholds: Thresholds) 
             }
             break;
         };
-        weigh(&stage.finalists, &chosen, thresholds, &mut probabilities);
+        weigh(&stage.finalists, &chosen, &taken, thresholds, &mut probabilities);
         for trial in &stage.finalists {
             let name = own_name(trial, &chosen);
             if name != own_name(&chosen, trial) && !rivals.contains(&name) {
@@ -267,7 +267,7 @@ fn brings_together(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool 
 
 /// The best finalist that passes, the simpler one among equals, and those that tie with it.
 fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(Trial, Vec<String>)> {
-    let stands = |trial: &Trial| excludes_zero(trial, from) && follows(trial, from, thresholds);
+    let stands = |trial: &Trial| stands(trial, from, thresholds);
     if !finalists.iter().any(|trial| brings(trial, from, thresholds) && stands(trial)) {
         return None;
     }
@@ -331,6 +331,11 @@ fn leading(trial: &Trial) -> Option<usize> {
     trial.refit.numbers.numbers.iter().position(|number| number.key.starts_with(&prefix))
 }
 
+/// Whether what a trial adds is there, and its simulated response does not speak against it.
+fn stands(trial: &Trial, from: &Trial, thresholds: Thresholds) -> bool {
+    excludes_zero(trial, from) && follows(trial, from, thresholds)
+}
+
 /// Share of its deviation below which a strength is none.
 const NOTHING: f64 = 0.01;
 /// Mean square of the force of a component without an effect over that with it, at least, where the interval of its strength does not exclude
@@ -374,14 +379,22 @@ pub fn is_there(trial: &Trial) -> bool {
 
 /// Probability of each effect of what was chosen among the rivals that differ in that effect alone, and that it is none of them.
 /// Where none was tried at this stage, it stays what it was.
-fn weigh(finalists: &[Trial], chosen: &Trial, thresholds: Thresholds, probabilities: &mut Vec<f64>) {
+/// What does not stand beside what was taken before is no rival, whatever it brings.
+fn weigh(
+    finalists: &[Trial],
+    chosen: &Trial,
+    from: &Trial,
+    thresholds: Thresholds,
+    probabilities: &mut Vec<f64>,
+) {
     let before = std::mem::take(probabilities);
     for place in 0..chosen.names.len() {
         let others = || chosen.names.iter().enumerate().filter(|(i, _)| *i != place);
         let alike = |trial: &&Trial| {
             trial.names.len() == chosen.names.len() && others().all(|(_, name)| trial.names.contains(name))
         };
-        let rivals: Vec<&Trial> = finalists.iter().filter(alike).collect();
+        let rivals: Vec<&Trial> =
+            finalists.iter().filter(alike).filter(|trial| stands(trial, from, thresholds)).collect();
         // A tie is even odds; the scale of the tie takes the place of a nat, since model error and
         // colour make the likelihood sharper than experience bears out.
         let weight = |trial: &Trial| (-apart(chosen, trial) / (0.5 * thresholds.tie)).exp();
@@ -410,11 +423,17 @@ fn refuse(trial: &Trial, against: &Trial, base: &Trial, why: &str) -> Refused {
 /// Why a trial that does not bring enough was not taken.
 fn too_little(trial: &Trial, from: &Trial, thresholds: Thresholds) -> Refused {
     let [_, asked] = thresholds.asked(trial, from);
+    let why = if !brings(trial, from, thresholds) {
+        "no gain on held-out steps beyond chance"
+    } else if !excludes_zero(trial, from) {
+        "the interval of its strength does not exclude none, the other numbers do as well"
+    } else {
+        "the simulated response of the held-out steps is no better with it"
+    };
     Refused {
         name: last_name(trial),
         reason: format!(
-            "no gain on held-out steps beyond chance: brings {:.1} nats there, {:.1} on the steps of the fit and {:.1} in all, \
-             less what its freedom costs; {asked:.0} are asked",
+            "{why}: brings {:.1} nats there, {:.1} on the steps of the fit and {:.1} in all, less what its freedom costs; {asked:.0} are asked",
             gain(trial, from),
             trial.training_gain(from),
             added(trial, from),

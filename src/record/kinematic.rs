@@ -296,7 +296,7 @@ fn products(record: &Record, channels: &[&[f64]; 5]) -> Option<Products> {
 }
 
 /// Typical distance of the input's upward crossings, samples.
-pub(super) fn typical_cycle(input: &[f64]) -> Option<f64> {
+pub(crate) fn typical_cycle(input: &[f64]) -> Option<f64> {
     let n = input.len().max(1) as f64;
     let mean = input.iter().sum::<f64>() / n;
     let rms = (input.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / n).sqrt();

@@ -4,7 +4,7 @@ pub mod chain;
 pub mod data;
 mod first_out;
 pub mod folder;
-mod kinematic;
+pub(crate) mod kinematic;
 pub mod mended;
 pub mod quality;
 pub mod read;

@@ -22,6 +22,7 @@ pub fn page(title: &str, found: &Diagnosis) -> Result<Page, ReportError> {
         100.0 * found.error_after,
         100.0 * found.noise_floor
     ));
+    found.left.iter().for_each(|left| page.note(&format!("{}.", left.sentence())));
     if let Some(test) = &found.next_test {
         page.note(&format!("Next test: {} - {}.", test.title, test.reason));
     }
@@ -30,7 +31,10 @@ pub fn page(title: &str, found: &Diagnosis) -> Result<Page, ReportError> {
     steps(&mut page, &found.steps, bumpers)?;
     tables(&mut page, found);
     if let Some(force) = &found.missing_force {
-        missing(&mut page, force)?;
+        missing(&mut page, "The force that is missing after re-identification", force)?;
+    }
+    if let Some(force) = found.left.as_ref().and_then(|left| left.force.as_ref()) {
+        missing(&mut page, "The force that is still missing with what was found", force)?;
     }
     if !found.not_identifiable.is_empty() {
         page.section("What this record cannot tell");
@@ -146,8 +150,8 @@ fn tables(page: &mut Page, found: &Diagnosis) {
     }
 }
 
-fn missing(page: &mut Page, force: &MissingForce) -> Result<(), ReportError> {
-    page.section("The force that is missing after re-identification");
+fn missing(page: &mut Page, title: &str, force: &MissingForce) -> Result<(), ReportError> {
+    page.section(title);
     let edges = |centres: &[f64], scale: f64| -> Vec<f64> {
         let half = centres.get(1).zip(centres.first()).map_or(0.5, |(b, a)| 0.5 * (b - a));
         let first = centres.first().map(|x| (x - half) * scale);

@@ -65,8 +65,10 @@ struct BoucWen {
     integer: bool,
 }
 
-/// Steps that one sample of an imposed motion is cut into at most.
+/// Steps for a yield displacement, and for the way of one sample at most; a sharp yield, within dy/n, takes more of both.
+const STEPS: f64 = 10.0;
 const MOST_STEPS: f64 = 64.0;
+const SHARP: f64 = 5.0;
 
 impl BoucWen {
     /// dz/dd while moving with the sign of `v`.
@@ -77,9 +79,10 @@ impl BoucWen {
         1.0 - shape * power
     }
 
-    /// z after a way that does not turn: steps of Heun's, each a tenth of dy.
+    /// z after a way that does not turn: steps of Heun's, each a tenth of dy or of a sharp yield.
     fn moved(&self, mut z: f64, way_m: f64) -> f64 {
-        let steps = (10.0 * way_m.abs() * self.inverse_dy).ceil().min(MOST_STEPS);
+        let sharper = (self.n / SHARP).max(1.0);
+        let steps = (STEPS * sharper * way_m.abs() * self.inverse_dy).ceil().min(MOST_STEPS * sharper);
         let h = way_m / steps.max(1.0);
         for _ in 0..steps as usize {
             let first = self.slope(z, h);
