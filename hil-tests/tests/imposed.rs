@@ -44,6 +44,15 @@ fn the_shape_of_a_hysteresis_is_told_and_nothing_makes_up_for_it() {
 }
 
 #[test]
+fn a_bilinear_bearing_is_told_as_sharp_as_it_is() {
+    // Its corners were rounded to n = 5, and the other numbers went with them.
+    let shape = [("kh_n_m", 2e5), ("dy_m", 1.4e-3), ("n", 15.0), ("gamma", 0.5)];
+    let found = found(&hysteresis(SPRING, shape.map(|(_, value)| value), 15), SPRING, "bouc-wen-hysteresis");
+    are_told(&found.effects[0], shape, 0.03);
+    is_at_the_floor(&found);
+}
+
+#[test]
 fn the_shape_of_a_hysteresis_is_told_beside_a_force_that_hid_it() {
     // It was fitted without the offset, and left as it was.
     let shape = [("kh_n_m", 2e5), ("dy_m", 1.4e-3), ("n", 2.0), ("gamma", 0.5)];
@@ -88,12 +97,15 @@ fn a_guess_of_half_of_what_is_there_is_no_missing_effect() {
 #[test]
 fn what_is_named_and_leaves_more_than_noise_says_so() {
     // The catalogue has no force that grows with a power of the velocity; what comes near stood there as if it were all.
-    let found =
-        diagnose(&orifice(SPRING, [2000.0, 0.35], 14), &nominal(SPRING), &Options::default()).expect("sound");
+    let mut record = orifice(DASHPOT, [2000.0, 0.35], 14);
+    for channel in [&mut record.time_s, &mut record.displacement_m, &mut record.force_n] {
+        channel.truncate(5000);
+    }
+    let found = diagnose(&record, &nominal(DASHPOT), &Options::default()).expect("a sound record");
     assert_eq!(found.verdict, Verdict::Missing, "{:?}", found.refused);
     let left = found.left.as_ref().expect("more than noise");
     assert!((left.times_noise / (found.error_after / found.noise_floor) - 1.0).abs() < 1e-9, "{left:?}");
-    assert!(left.times_noise > 2.0 && found.text().contains("Not all of it"), "{}", found.text());
+    assert!(left.times_noise > 1.2 && found.text().contains("Not all of it"), "{}", found.text());
     // What was refused beside one that is named says nothing against it.
     assert!(found.effects.iter().all(|effect| effect.probability > 0.3), "{:?}", found.effects);
 }

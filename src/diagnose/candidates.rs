@@ -94,6 +94,7 @@ pub fn scales(spec: &ModelSpec, motion: &Motion) -> Scales {
     scales.acceleration_m_s2 = peak(&motion.restoring_m_s2);
     scales.force_n = scales.mass_kg * scales.acceleration_m_s2;
     scales.frequency_hz = motion.median_frequency_hz();
+    scales.fastest_hz = motion.fastest_hz;
     scales.duration_s = motion.displacement_m.len() as f64 * motion.dt_s();
     scales.sample_period_s = motion.dt_s();
     if let Some(bumper) = &spec.bumper {
@@ -268,6 +269,7 @@ pub fn starts(effect: &Effect, scales: &Scales) -> Vec<EffectSpec> {
         }));
     }
     one_of_each_shape(&mut out, &parameters, effect.name != "bumper-preload");
+    out.iter_mut().for_each(|start| start.hold_up_to(scales.fastest_hz));
     out
 }
 

@@ -291,7 +291,8 @@ fn choose(finalists: &[Trial], from: &Trial, thresholds: Thresholds) -> Option<(
         .map(|trial| own_name(trial, chosen))
         .collect();
     let mut chosen = chosen.clone();
-    if chosen.response.is_none() {
+    // Along an imposed motion contacts begin where they are said to, and what makes up for the amplitude does so.
+    if chosen.output.is_some() && chosen.response.is_none() {
         sharpen(&mut chosen, from);
     }
     Some((chosen, rivals))

@@ -46,6 +46,7 @@ impl Fused {
 
     pub(super) fn motion(self, record: &Record) -> Motion {
         Motion {
+            fastest_hz: 0.0,
             kind: record.kind,
             mass_kg: 1.0,
             sample_rate_hz: record.sample_rate_hz,

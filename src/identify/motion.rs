@@ -81,6 +81,8 @@ pub struct Motion {
     pub mass_kg: f64,
     /// Sampling rate, Hz.
     pub sample_rate_hz: f64,
+    /// Frequency up to which what drives it has power, Hz; 0 of a base record.
+    pub fastest_hz: f64,
     /// The records that it consists of, one unless several were put together.
     pub sources: Vec<Source>,
     /// Displacement of the mass relative to its support, m.
@@ -200,6 +202,7 @@ impl Motion {
             Kind::Component => component::motion(record, mass_kg)?,
         };
         motion.mass_kg = mass_kg;
+        motion.fastest_hz = super::fastest_hz(record);
         motion.windows = windows::cut(record, &motion, farthest);
         let by_lines = motion.sample_rate_hz < ALONG_LINES as f64 * motion.median_frequency_hz();
         if motion.kind == Kind::Base && (by_lines || motion.windows.iter().any(|window| window.random)) {

@@ -116,7 +116,8 @@ impl Numbers {
             given.parameters.iter().for_each(|(name, value)| self.add_own(index, name, *value));
             return;
         }
-        for (i, parameter) in (effect.parameters)(scales).into_iter().enumerate() {
+        let fitted = (effect.parameters)(scales).into_iter().filter(|parameter| !parameter.chosen);
+        for (i, parameter) in fitted.enumerate() {
             if let Some(start) = given.parameters.get(parameter.name) {
                 self.add_parameter(&format!("effect[{index}].{}", parameter.name), &parameter, *start);
                 if let (0, Some(added)) = (i, self.numbers.last_mut()) {

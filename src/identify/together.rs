@@ -154,6 +154,7 @@ impl Motion {
         self.laser_noise_m = mix(self.laser_noise_m, part.laser_noise_m);
         self.displacement_noise_m = mix(self.displacement_noise_m, part.displacement_noise_m);
         self.velocity_noise_m_s = mix(self.velocity_noise_m_s, part.velocity_noise_m_s);
+        self.fastest_hz = self.fastest_hz.max(part.fastest_hz);
         self.sources.extend(part.sources.iter().map(|s| Source { first: s.first + here, setting, ..*s }));
         self.windows.extend(part.windows.into_iter().map(|mut window| {
             window.range = window.range.start + here..window.range.end + here;

@@ -109,7 +109,7 @@ impl Ledger {
         }
         if let Some([ca, alpha]) = ledger.all("fractional-damping", ["ca", "alpha"]) {
             // The effect's own rates: what is counted here is their energy, not how well they stand for a springpot.
-            let own = SpringPot::new(ca, alpha, dt);
+            let own = SpringPot::new(ca, alpha, (dt, 0.0));
             ledger.branches =
                 own.rates.into_iter().zip(own.weights).map(|(rate, w)| [rate, w, 0.0]).collect();
             ledger.springpot_ends = (own.stiffness, own.damping);

@@ -96,8 +96,8 @@ pub trait Specimen: Send {
         Vec::new()
     }
 
-    /// Puts such states in.
-    fn recall(&mut self, _memory: &[f64]) {}
+    /// Puts such states in, of a mass whose imposed motion has come to a displacement and velocity.
+    fn recall(&mut self, _memory: &[f64], _now: (f64, f64)) {}
 
     /// States of all effects that are hidden along an imposed motion, where [`Specimen::resume`] can go on from there; none where some are no
     /// numbers, as those of a joint are and reversals.

@@ -20,6 +20,8 @@ pub struct Scales {
     pub force_n: f64,
     /// Frequency of the main oscillation, Hz.
     pub frequency_hz: f64,
+    /// Frequency up to which what drives it has power, Hz; 0 where it is a sweep far below the sampling rate.
+    pub fastest_hz: f64,
     /// Duration of a record, s.
     pub duration_s: f64,
     /// Sample period, s.
@@ -52,6 +54,7 @@ impl Scales {
             acceleration_m_s2,
             force_n: spec.mass_kg * acceleration_m_s2,
             frequency_hz,
+            fastest_hz: 0.0,
             duration_s: 500.0 / frequency_hz,
             sample_period_s,
             total_gap_m: spec.bumper.as_ref().map(|b| b.total_gap_m),

@@ -1,5 +1,6 @@
 //! A specimen model as it stands in its file: plain numbers, no solver.
 
+use super::effects::fractional_damping;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -62,6 +63,15 @@ pub struct EffectSpec {
     /// Parameters by name, the unit in the name (`fc_n`, `k3_n_m3`).
     #[serde(flatten)]
     pub parameters: BTreeMap<String, f64>,
+}
+
+impl EffectSpec {
+    /// Lets a springpot that says nothing of it hold for motions up to this frequency, Hz; other effects do so anyway.
+    pub fn hold_up_to(&mut self, fastest_hz: f64) {
+        if self.name == fractional_damping::EFFECT.name && fastest_hz > 0.0 {
+            self.parameters.entry(fractional_damping::FASTEST.to_owned()).or_insert(fastest_hz);
+        }
+    }
 }
 
 /// Relative half-widths (95 %) of the base model's numbers.

@@ -15,7 +15,7 @@ impl Measured<'_> {
                 let (from, source) = (motion.sources[window.source].first, window.source);
                 let (at, mut specimen) = match walk.take() {
                     Some((of, at, specimen)) if of == source && at <= window.warm_from => (at, specimen),
-                    _ => match springpot(motion.dt_s()) {
+                    _ => match springpot(motion.dt_s(), motion.fastest_hz) {
                         Some(specimen) => (from, specimen),
                         None => return Vec::new(),
                     },
@@ -34,10 +34,11 @@ impl Measured<'_> {
 }
 
 /// A specimen that is nothing but a springpot.
-fn springpot(dt_s: f64) -> Option<Box<dyn Specimen>> {
+fn springpot(dt_s: f64, fastest_hz: f64) -> Option<Box<dyn Specimen>> {
     let isolator = IsolatorSpec { stiffness_n_m: vec![1.0], breakpoints_m: vec![], damping_n_s_m: 0.0 };
     let parameters = [("ca".to_owned(), 1.0), ("alpha".to_owned(), 0.5)].into_iter().collect();
-    let spring = EffectSpec { name: "fractional-damping".into(), expression: None, parameters };
+    let mut spring = EffectSpec { name: "fractional-damping".into(), expression: None, parameters };
+    spring.hold_up_to(fastest_hz);
     let spec = ModelSpec {
         name: "springpot".into(),
         mass_kg: 1.0,

@@ -72,13 +72,15 @@ impl Measured<'_> {
         let (specimen, share) = (&mut *specimens.each[window.source], specimens.share);
         specimen.reset();
         specimen.set_time_s(source.time_s(first, motion.dt_s()));
-        if specimens.remembers {
-            specimen.recall(self.remembered(window));
+        // A record begins at rest; what was recalled goes on from the sample before, not from there.
+        let before = (first > source.first)
+            .then(|| (motion.displacement_m[first - 1] + zero_m, motion.velocity_m_s[first - 1]));
+        if let Some(before) = before.filter(|_| specimens.remembers) {
+            specimen.recall(self.remembered(window), before);
         }
         motion.retrace(specimen, window, first, zero_m);
-        if let Some(states) = states {
-            specimen
-                .resume(&states, (motion.displacement_m[first - 1] + zero_m, motion.velocity_m_s[first - 1]));
+        if let Some((states, before)) = states.zip(before) {
+            specimen.resume(&states, before);
         }
         for n in first..last {
             specimen.impose(motion.displacement_m[n] + zero_m, motion.velocity_m_s[n]);

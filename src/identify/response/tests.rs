@@ -197,9 +197,21 @@ fn a_springpot_remembers_the_record_before_a_step() {
     assert_eq!(whole.len(), kept.len());
     let size = whole.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
     assert!(whole.iter().zip(kept).all(|(a, b)| (a - b).abs() < 1e-9 * size), "{whole:?} {kept:?}");
+    let at = |n: usize| (motion.displacement_m[n], motion.velocity_m_s[n]);
+    let forces = |specimen: &mut dyn model::Specimen| -> Vec<f64> {
+        (window.warm_from..window.warm_from + 50)
+            .map(|n| specimen.impose(at(n).0, at(n).1).mass_acceleration_m_s2)
+            .collect()
+    };
+    let whole = forces(&mut *specimen);
     specimen.reset();
-    specimen.recall(kept);
+    specimen.recall(kept, at(window.warm_from - 1));
     assert_eq!(specimen.memory(), kept);
+    // The mass goes on from where it was: from rest it jumped there, and the springpot remembered the jump.
+    let size = whole.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
+    for (whole, resumed) in whole.iter().zip(forces(&mut *specimen)) {
+        assert!((whole - resumed).abs() < 1e-9 * size, "{whole} {resumed}");
+    }
 }
 
 #[test]

@@ -39,6 +39,8 @@ pub struct Parameter {
     pub default: Option<f64>,
     /// The effect vanishes as it grows, as that of a stiffness in series does.
     pub in_series: bool,
+    /// A choice of who writes the model, which no fit moves.
+    pub chosen: bool,
 }
 
 impl Parameter {
@@ -52,8 +54,21 @@ impl Parameter {
     ) -> Self {
         let (log_scale, sign) = (true, Sign::Positive);
         let (at_least, at_most) = (f64::MIN, f64::MAX);
-        let (default, in_series) = (None, false);
-        Self { name, unit, about, prior, start, log_scale, sign, at_least, at_most, default, in_series }
+        let (default, in_series, chosen) = (None, false, false);
+        Self {
+            name,
+            unit,
+            about,
+            prior,
+            start,
+            log_scale,
+            sign,
+            at_least,
+            at_most,
+            default,
+            in_series,
+            chosen,
+        }
     }
 
     /// As [`Parameter::positive`], zero allowed.
@@ -96,6 +111,11 @@ impl Parameter {
     /// The effect vanishes as it grows.
     pub fn in_series(self) -> Self {
         Self { in_series: true, ..self }
+    }
+
+    /// No fit moves it.
+    pub fn chosen(self) -> Self {
+        Self { chosen: true, ..self }
     }
 
     /// Refused below `at_least`.

@@ -98,9 +98,12 @@ impl<const N: usize> Specimen for General<N> {
         self.remembering().into_iter().next().map(|range| self.y[range].to_vec()).unwrap_or_default()
     }
 
-    fn recall(&mut self, memory: &[f64]) {
+    fn recall(&mut self, memory: &[f64], now: (f64, f64)) {
         for range in self.remembering().into_iter().filter(|range| range.len() == memory.len()) {
             self.y[range].copy_from_slice(memory);
+            self.at_rest = false;
+            (self.y[0], self.y[1]) = now;
+            self.settle_mode();
         }
     }
 
