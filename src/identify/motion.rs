@@ -81,7 +81,7 @@ pub struct Motion {
     pub mass_kg: f64,
     /// Sampling rate, Hz.
     pub sample_rate_hz: f64,
-    /// Frequency up to which what drives it has power, Hz; 0 of a base record.
+    /// Frequency up to which it moves, Hz; 0 of a base record, and where every model holds so far.
     pub fastest_hz: f64,
     /// The records that it consists of, one unless several were put together.
     pub sources: Vec<Source>,

@@ -20,7 +20,7 @@ pub struct Scales {
     pub force_n: f64,
     /// Frequency of the main oscillation, Hz.
     pub frequency_hz: f64,
-    /// Frequency up to which what drives it has power, Hz; 0 where it is a sweep far below the sampling rate.
+    /// Frequency up to which a record moves, Hz; 0 where every model holds so far.
     pub fastest_hz: f64,
     /// Duration of a record, s.
     pub duration_s: f64,
