@@ -106,7 +106,7 @@ impl Searcher<'_> {
     /// on from there. A long record leaves so little between them that a valley does not bend.
     pub fn bounded(&self, mut trial: Trial) -> Trial {
         let Some(measured) = self.measured.as_ref().filter(|measured| !measured.is_long()) else {
-            return trial;
+            return self.beyond_limits(trial);
         };
         for round in 1..=PROFILES {
             let Some(Response { training, left, .. }) = &trial.response else { break };

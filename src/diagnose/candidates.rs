@@ -64,7 +64,7 @@ pub struct Shape {
     pub name: &'static str,
     /// Limits within which it can be simulated.
     pub limits: (f64, f64),
-    /// The same along a motion that is known.
+    /// The same along a motion that is known, at last.
     pub along: (f64, f64),
     /// Where a fit begins that the default leads nowhere.
     pub other: Option<f64>,

@@ -479,12 +479,23 @@ impl<'a> Searcher<'a> {
                 self.told_by_all_steps(&mut stage.finalists, &from);
             }
             parts::done("rivals by all steps");
-            search.stages.push(stage);
             if !gained {
-                break;
+                search.stages.iter_mut().last().into_iter().for_each(|last| self.let_go(last));
+                search.stages.push(stage);
+                return search;
             }
+            search.stages.push(stage);
         }
+        search.stages.iter_mut().last().into_iter().for_each(|last| self.let_go(last));
         search
+    }
+
+    /// Fits the finalists of a component that are the last ones beyond limits that hold during the search.
+    fn let_go(&self, last: &mut Stage) {
+        if self.motion.kind == Kind::Component {
+            last.finalists = last.finalists.drain(..).map(|trial| self.beyond_limits(trial)).collect();
+            last.finalists.sort_by(|a, b| a.force.chi2.total_cmp(&b.force.chi2));
+        }
     }
 }
 

@@ -29,6 +29,9 @@ const FALLING: f64 = 5.0;
 /// Velocities over which Coulomb's friction may turn round, over the typical velocity.
 const TURNS: [f64; 4] = [3e-3, 1e-2, 3e-2, 0.1];
 
+/// A number is at its limit when it is so near.
+const AT_LIMIT: f64 = 1e-3;
+
 impl Searcher<'_> {
     /// Lets the shape of the last effect follow, too, where that pays: in those that may be the best then, which bring no more by it than
     /// the best leaves: twice what neighbouring residuals tell of that, which see little of what is slow.
@@ -123,6 +126,33 @@ impl Searcher<'_> {
             }
         }
         limits
+    }
+
+    /// An explanation of a component with the numbers of shape that ended at the limit of what can be simulated let go: along a motion that is
+    /// known, corners may be sharper. A search does without: beside what is still missing they would be too sharp.
+    pub(super) fn beyond_limits(&self, trial: Trial) -> Trial {
+        if self.motion.kind != Kind::Component {
+            return trial;
+        }
+        let mut wider = trial.clone();
+        let Refit { spec, numbers, fit, .. } = &mut wider.refit;
+        let mut at_limit = false;
+        for (index, effect) in spec.effects.iter().enumerate() {
+            for Shape { name, limits: (_, high), along: (_, farther), .. } in candidates::shapes(&effect.name)
+            {
+                let key = format!("effect[{index}].{name}");
+                let all = numbers.numbers.iter().zip(&mut numbers.free).zip(&fit.values);
+                for ((number, free), value) in all.filter(|((number, _), _)| number.key == key) {
+                    let of = |x: f64| if number.logarithmic { x.ln() } else { x };
+                    if farther > high && *value >= of(*high) - AT_LIMIT {
+                        free.bounds.1 = of(*farther);
+                        at_limit = true;
+                    }
+                }
+            }
+        }
+        let farther = if at_limit { self.fitted_by_force(&wider) } else { None };
+        farther.filter(|farther| verdict::apart(farther, &trial) > 0.0).unwrap_or(trial)
     }
 
     /// A stand's likelihood has a summit for every number of ringings between two contacts: those beside the one that was found, for as
@@ -303,8 +333,7 @@ fn with_shape_of(trial: &Trial, index: usize, scales: &Scales) -> Option<Trial> 
         of.parameters.entry(shape.name.to_owned()).or_insert(default);
     }
     let mut shaped = with_effect(trial.clone(), spec, index, scales);
-    for Shape { name, limits, along, .. } in shapes {
-        let (low, high) = if trial.response.is_some() { limits } else { along };
+    for Shape { name, limits: (low, high), .. } in shapes {
         let key = format!("effect[{index}].{name}");
         let Refit { numbers, .. } = &mut shaped.refit;
         let numbers = numbers.numbers.iter().zip(&mut numbers.free);
