@@ -56,6 +56,8 @@ const FEW: usize = 5;
 const FEWER: usize = 3;
 /// So many effects go on from there.
 const GOING_ON: usize = 10;
+/// So many finalists of a component are let go beyond the limits of a search.
+const LET_GO: usize = 2;
 /// So many finalists are simulated at most, those within so many nats of the best.
 const SIMULATED: usize = 3;
 const CLOSE: f64 = 50.0;
@@ -493,7 +495,9 @@ impl<'a> Searcher<'a> {
     /// Fits the finalists of a component that are the last ones beyond limits that hold during the search.
     fn let_go(&self, last: &mut Stage) {
         if self.motion.kind == Kind::Component {
-            last.finalists = last.finalists.drain(..).map(|trial| self.beyond_limits(trial)).collect();
+            let first: Vec<Trial> = last.finalists.iter().take(LET_GO).cloned().collect();
+            let farther = parallel::map(&first, parallel::cores(), |trial| self.beyond_limits(trial.clone()));
+            last.finalists.iter_mut().zip(farther).for_each(|(trial, farther)| *trial = farther);
             last.finalists.sort_by(|a, b| a.force.chi2.total_cmp(&b.force.chi2));
         }
     }
