@@ -35,21 +35,23 @@ fn is_at_the_floor(found: &Diagnosis) {
     assert!(found.error_after < 1.2 * found.noise_floor, "{} {}", found.error_after, found.noise_floor);
 }
 
+/// A hysteresis is named alone, its numbers within a share of the truth.
+fn shape_is_told(shape: [(&str, f64); 4], seed: u64, within: f64) {
+    let found =
+        found(&hysteresis(SPRING, shape.map(|(_, value)| value), seed), SPRING, "bouc-wen-hysteresis");
+    are_told(&found.effects[0], shape, within);
+    is_at_the_floor(&found);
+}
+
 #[test]
 fn the_shape_of_a_hysteresis_is_told_and_nothing_makes_up_for_it() {
-    let shape = [("kh_n_m", 2e5), ("dy_m", 1.4e-3), ("n", 1.3), ("gamma", 0.35)];
-    let found = found(&hysteresis(SPRING, shape.map(|(_, value)| value), 1), SPRING, "bouc-wen-hysteresis");
-    are_told(&found.effects[0], shape, 0.02);
-    is_at_the_floor(&found);
+    shape_is_told([("kh_n_m", 2e5), ("dy_m", 1.4e-3), ("n", 1.3), ("gamma", 0.35)], 1, 0.02);
 }
 
 #[test]
 fn a_bilinear_bearing_is_told_as_sharp_as_it_is() {
     // Its corners were rounded to n = 5, and the other numbers went with them.
-    let shape = [("kh_n_m", 2e5), ("dy_m", 1.4e-3), ("n", 15.0), ("gamma", 0.5)];
-    let found = found(&hysteresis(SPRING, shape.map(|(_, value)| value), 15), SPRING, "bouc-wen-hysteresis");
-    are_told(&found.effects[0], shape, 0.03);
-    is_at_the_floor(&found);
+    shape_is_told([("kh_n_m", 2e5), ("dy_m", 1.4e-3), ("n", 15.0), ("gamma", 0.5)], 15, 0.03);
 }
 
 #[test]

@@ -9,7 +9,7 @@ use crate::identify::kinematics::Tolerances;
 use crate::identify::motion::Motion;
 use crate::identify::problem::Part;
 use crate::identify::refit::FittedNumber;
-use crate::identify::{fastest_hz, holding, readied};
+use crate::identify::{holding, readied};
 use std::path::PathBuf;
 
 /// Re-fit the parameters of a model to a record.
@@ -38,7 +38,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let opened = args.read.open()?;
     let record = readied(&opened);
     say_new(&record.notes, &opened);
-    let nominal = holding(&nominal, fastest_hz(&record)).into_owned();
+    let nominal = holding(&nominal, [&*record]);
     let motion = Motion::of(&record, nominal.mass_kg, Tolerances::default()).map_err(CliError::failed)?;
     let searcher = Searcher::new(&motion, &nominal, Effort::default());
     let Some(trial) = searcher.base(&nominal) else {

@@ -28,7 +28,7 @@ pub use response::{Channels, Method};
 pub use slices::Slice;
 pub use window::{Window, windows};
 
-use crate::identify::{fastest_hz, holding};
+use crate::identify::holding;
 use crate::model::{ModelError, ModelSpec};
 use crate::record::mended::mended;
 use crate::record::quality::{self, Finding, Severity};
@@ -201,7 +201,7 @@ fn joined<T>(thread: std::thread::ScopedJoinHandle<'_, T>) -> T {
 }
 
 fn judge(record: &Record, spec: &ModelSpec) -> Result<Comparison, CompareError> {
-    let spec = &*holding(spec, fastest_hz(record));
+    let spec = &*holding(spec, [record]);
     let rate = record.sample_rate_hz;
     let windows = windows(record);
     let mut notes = record.notes.clone();

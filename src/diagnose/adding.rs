@@ -14,7 +14,7 @@ use crate::identify::least_squares::Settings;
 use crate::identify::motion::{Motion, MotionError};
 use crate::identify::problem::{OutputError, Part, Problem};
 use crate::identify::refit::{Domain, FittedNumber};
-use crate::identify::{answered, fastest_hz, holding, readied};
+use crate::identify::{answered, holding, readied};
 use crate::model::effects::{self, Place};
 use crate::model::{EffectSpec, ModelError, ModelSpec, Scales};
 use crate::parallel;
@@ -94,7 +94,7 @@ pub fn add(
         return Err(refuse("it has no parameters"));
     }
     let record = &*readied(record);
-    let nominal = &*holding(nominal, fastest_hz(record));
+    let nominal = &*holding(nominal, [record]);
     let motion = Motion::of(record, nominal.mass_kg, Tolerances::default())?;
     add_along(record, &motion, (nominal, given, fixed_start), true)
 }

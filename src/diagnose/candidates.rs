@@ -64,8 +64,8 @@ pub struct Shape {
     pub name: &'static str,
     /// Limits within which it can be simulated.
     pub limits: (f64, f64),
-    /// The same along a motion that is known, at last.
-    pub along: (f64, f64),
+    /// The upper one of an explanation along a motion that is known, where that lets go farther.
+    pub at_last: Option<f64>,
     /// Where a fit begins that the default leads nowhere.
     pub other: Option<f64>,
 }
@@ -76,10 +76,10 @@ pub fn shapes(name: &str) -> &'static [Shape] {
         // With a gamma of 1 and more, unloading takes the element farther out; with an n below 1 its slope has a cusp at rest, and at 1,
         // the default, it bends there.
         "bouc-wen-hysteresis" => &[
-            Shape { name: "n", limits: (1.0, 5.0), along: (1.0, 25.0), other: Some(2.0) },
-            Shape { name: "gamma", limits: (-0.5, 0.9), along: (-0.5, 0.9), other: None },
+            Shape { name: "n", limits: (1.0, 5.0), at_last: Some(25.0), other: Some(2.0) },
+            Shape { name: "gamma", limits: (-0.5, 0.9), at_last: None, other: None },
         ],
-        "stand-compliance" => &[Shape { name: "zeta", limits: (1e-4, 0.3), along: (1e-4, 0.3), other: None }],
+        "stand-compliance" => &[Shape { name: "zeta", limits: (1e-4, 0.3), at_last: None, other: None }],
         _ => &[],
     }
 }

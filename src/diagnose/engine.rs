@@ -13,7 +13,7 @@ use crate::compare::quality;
 use crate::identify::kinematics::Tolerances;
 use crate::identify::motion::{Motion, MotionError};
 use crate::identify::together::{Setting, TogetherError};
-use crate::identify::{answered, fastest_hz, force_on_time, holding, in_its_band};
+use crate::identify::{answered, force_on_time, holding, in_its_band};
 use crate::model::{ModelError, ModelSpec};
 use crate::record::mended::mended;
 use crate::record::quality::Severity;
@@ -88,8 +88,8 @@ pub fn diagnose_together(
     let said = records.iter().zip(tests).map(|(record, (_, model))| of_record(record, model, options.anyway));
     let said = said.collect::<Result<Vec<_>, _>>()?.concat();
     let records: Vec<_> = records.into_iter().map(in_its_band).collect();
-    let fastest_hz = records.iter().map(|record| fastest_hz(record)).fold(0.0, f64::max);
-    let models: Vec<_> = tests.iter().map(|(_, model)| holding(model, fastest_hz)).collect();
+    let all = || records.iter().map(|record| &**record);
+    let models: Vec<_> = tests.iter().map(|(_, model)| holding(model, all())).collect();
     let tests: Vec<(&Record, &ModelSpec)> =
         records.iter().zip(&models).map(|(record, model)| (&**record, &**model)).collect();
     let late_s = vec![0.0; tests.len()];

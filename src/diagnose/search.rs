@@ -401,6 +401,8 @@ impl<'a> Searcher<'a> {
         let component = self.motion.kind == Kind::Component;
         let enough = if component { 0.0 } else { 0.5 * thresholds.left };
         let mut search = Search { base, stages: Vec::new() };
+        // Stages that brought something.
+        let mut told = 0;
         // Beyond a pair the response explains anything.
         let together =
             if search.base.response.is_some() { self.effort.together.min(2) } else { self.effort.together };
@@ -481,14 +483,15 @@ impl<'a> Searcher<'a> {
                 self.told_by_all_steps(&mut stage.finalists, &from);
             }
             parts::done("rivals by all steps");
-            if !gained {
-                search.stages.iter_mut().last().into_iter().for_each(|last| self.let_go(last));
-                search.stages.push(stage);
-                return search;
-            }
             search.stages.push(stage);
+            if !gained {
+                break;
+            }
+            told = search.stages.len();
         }
-        search.stages.iter_mut().last().into_iter().for_each(|last| self.let_go(last));
+        if let Some(last) = search.stages[..told].last_mut() {
+            self.let_go(last);
+        }
         search
     }
 

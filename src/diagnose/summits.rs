@@ -138,14 +138,15 @@ impl Searcher<'_> {
         let Refit { spec, numbers, fit, .. } = &mut wider.refit;
         let mut at_limit = false;
         for (index, effect) in spec.effects.iter().enumerate() {
-            for Shape { name, limits: (_, high), along: (_, farther), .. } in candidates::shapes(&effect.name)
-            {
+            for Shape { name, limits: (_, high), at_last, .. } in candidates::shapes(&effect.name) {
+                let Some(farthest) = at_last else { continue };
                 let key = format!("effect[{index}].{name}");
                 let all = numbers.numbers.iter().zip(&mut numbers.free).zip(&fit.values);
                 for ((number, free), value) in all.filter(|((number, _), _)| number.key == key) {
-                    let of = |x: f64| if number.logarithmic { x.ln() } else { x };
-                    if farther > high && *value >= of(*high) - AT_LIMIT {
-                        free.bounds.1 = of(*farther);
+                    // What has been let go is where it is.
+                    let is_held = free.bounds.1 < number.as_fitted(*farthest);
+                    if is_held && *value >= number.as_fitted(*high) - AT_LIMIT {
+                        free.bounds.1 = number.as_fitted(*farthest);
                         at_limit = true;
                     }
                 }
@@ -338,8 +339,7 @@ fn with_shape_of(trial: &Trial, index: usize, scales: &Scales) -> Option<Trial> 
         let Refit { numbers, .. } = &mut shaped.refit;
         let numbers = numbers.numbers.iter().zip(&mut numbers.free);
         numbers.filter(|(number, _)| number.key == key).for_each(|(number, free)| {
-            let of = |x: f64| if number.logarithmic { x.ln() } else { x };
-            free.bounds = (of(*low), of(*high));
+            free.bounds = (number.as_fitted(*low), number.as_fitted(*high));
         });
     }
     Some(shaped)

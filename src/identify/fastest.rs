@@ -1,7 +1,7 @@
 //! How fast a record moves, for models that hold only up to a frequency: a springpot is carried by a few states, and a solver's steps
 //! are the shorter the faster these are. Whoever fits or compares a model has it hold for the record first.
 
-use crate::model::ModelSpec;
+use crate::model::{EffectSpec, ModelSpec};
 use crate::record::{Kind, Record};
 use crate::signal::Spectrum;
 use realfft::num_complex::Complex64;
@@ -16,7 +16,7 @@ const NEARLY_ALL: f64 = 0.98;
 const PIECE: usize = 1 << 17;
 
 /// Frequency up to which a record of another rig moves, Hz; 0 where every model holds so far at its rate, and of a base record.
-pub fn fastest_hz(record: &Record) -> f64 {
+pub(super) fn fastest_hz(record: &Record) -> f64 {
     let (channel, is_acceleration) = match record.kind {
         Kind::Base => return 0.0,
         _ if !record.displacement_m.is_empty() => (&record.displacement_m, false),
@@ -41,10 +41,15 @@ pub fn fastest_hz(record: &Record) -> f64 {
     if hz > SLOW * record.sample_rate_hz { hz } else { 0.0 }
 }
 
-/// A model whose springpots hold for motions up to a frequency, where it does not say itself how fast they are.
-pub fn holding(spec: &ModelSpec, fastest_hz: f64) -> Cow<'_, ModelSpec> {
+/// A model whose springpots hold for motions as fast as the fastest of some records, where it does not say itself how fast they are.
+pub fn holding<'m, 'r>(
+    spec: &'m ModelSpec,
+    records: impl IntoIterator<Item = &'r Record>,
+) -> Cow<'m, ModelSpec> {
     let mut held = Cow::Borrowed(spec);
-    if fastest_hz > 0.0 && !spec.effects.is_empty() {
+    // Of a model without them nothing is asked of the records.
+    if spec.effects.iter().any(EffectSpec::is_springpot) {
+        let fastest_hz = records.into_iter().map(fastest_hz).fold(0.0, f64::max);
         held.to_mut().effects.iter_mut().for_each(|effect| effect.hold_up_to(fastest_hz));
     }
     held

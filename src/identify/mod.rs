@@ -29,7 +29,7 @@ mod windows;
 
 pub use applied::{applied_noise, force_on_time};
 pub use component::{answered, imposed_on_component};
-pub use fastest::{fastest_hz, holding};
+pub use fastest::holding;
 pub use jumpless::noise_of_whole_beside_jumps;
 
 use crate::record::{Record, mended::mended};

@@ -6,6 +6,7 @@
 //! accelerometers are fused: the laser counts below, the twice integrated accelerations above the
 //! frequency where their noises are equal (a Wiener filter, zero phase).
 
+use super::fastest::fastest_hz;
 use super::kinematics::{self, Instruments, Tolerances};
 use super::lines::along_straight_lines;
 use super::together::Source;
@@ -202,7 +203,7 @@ impl Motion {
             Kind::Component => component::motion(record, mass_kg)?,
         };
         motion.mass_kg = mass_kg;
-        motion.fastest_hz = super::fastest_hz(record);
+        motion.fastest_hz = fastest_hz(record);
         motion.windows = windows::cut(record, &motion, farthest);
         let by_lines = motion.sample_rate_hz < ALONG_LINES as f64 * motion.median_frequency_hz();
         if motion.kind == Kind::Base && (by_lines || motion.windows.iter().any(|window| window.random)) {

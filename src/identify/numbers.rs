@@ -41,6 +41,13 @@ pub struct Numbers {
     pub free: Vec<Free>,
 }
 
+impl Number {
+    /// A value as fits hold it.
+    pub fn as_fitted(&self, value: f64) -> f64 {
+        if self.logarithmic { value.ln() } else { value }
+    }
+}
+
 impl Numbers {
     /// The base model's numbers (the mass where a measured force drives it: of a base record only F/M is fixed), each within
     /// what the model file says of it, or the defaults: mass 5 %, slopes 10 %, knees 6 %, damping 10 %,

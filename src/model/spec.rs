@@ -66,9 +66,14 @@ pub struct EffectSpec {
 }
 
 impl EffectSpec {
+    /// Whether it is a springpot.
+    pub fn is_springpot(&self) -> bool {
+        self.name == fractional_damping::EFFECT.name
+    }
+
     /// Lets a springpot that says nothing of it hold for motions up to this frequency, Hz; other effects do so anyway.
     pub fn hold_up_to(&mut self, fastest_hz: f64) {
-        if self.name == fractional_damping::EFFECT.name && fastest_hz > 0.0 {
+        if self.is_springpot() && fastest_hz > 0.0 {
             self.parameters.entry(fractional_damping::FASTEST.to_owned()).or_insert(fastest_hz);
         }
     }
