@@ -114,13 +114,19 @@ pub fn of_motion() -> Vec<&'static str> {
 
 /// Forces that the catalogue does not have, with an amplitude `f` in N over scaled displacement `d/dm` and velocity
 /// `v/vm`: what they are, and the expression.
-pub const FOREIGN: [(&str, &str); 6] = [
+pub const FOREIGN: [(&str, &str); 12] = [
     ("ripple over D", "f*sin(9.42477796076938*d/dm)"),
     ("force on one side only", "f*max(d/dm, 0)^2"),
     ("damping that grows with D", "f*(d/dm)^2*(v/vm)"),
     ("cubic damping", "f*(v/vm)^3"),
     ("friction over a stretch", "f*tanh(20*v/vm)*exp(0-(6*d/dm-3)^2)"),
     ("force that swells", "f*(d/dm)*sin(0.35*t)"),
+    ("root damping", "f*(v/vm)/sqrt(0.02+abs(v/vm))"),
+    ("spring that saturates", "f*tanh(4*d/dm)"),
+    ("spring about the middle", "f*(d/dm)*exp(0-(4*d/dm)^2)"),
+    ("damping one way", "f*max(v/vm, 0)^2"),
+    ("damping that wears off", "f*(v/vm)*exp(0-t/30)"),
+    ("friction that grows with D", "f*(1+4*(d/dm)^2)*tanh(20*v/vm)"),
 ];
 
 /// Two different physical effects from a seed.

@@ -3,12 +3,13 @@
 use super::anew::ASTRAY;
 use super::engine::Options;
 use super::instruments::Finding;
+use super::missing_force::MissingForce;
 use super::next_test::{self, Reach};
 use super::report::{Diagnosis, Left, NamedEffect, ParameterEstimate, Rung, StepErrors};
 use super::search::{Search, Searcher};
 use super::trial::{Response, Trial};
 use super::verdict::{self, Decision, Refused, Verdict};
-use super::{late, missing_force};
+use super::{late, laws, missing_force};
 use crate::identify::least_squares::Free;
 use crate::identify::motion::Motion;
 use crate::identify::numbers::Number;
@@ -18,6 +19,9 @@ use crate::identify::response::Measured;
 use crate::identify::together::Setting;
 use crate::model::{ModelSpec, effects};
 use crate::record::{Kind, Record};
+
+/// Share of the missing force by which a sum of terms explains more than a law before it is the draft.
+const AS_WELL: f64 = 0.01;
 
 /// What an answer is put together from.
 pub(super) struct Composer<'a> {
@@ -75,6 +79,11 @@ impl Composer<'_> {
                 ladder.push(rung(&label, problem, own.as_deref()));
             }
         }
+        // What was made leaner in the end, or a law, was at no stage.
+        let stages = search.stages.iter().flat_map(|stage| &stage.finalists);
+        if !chosen.names.is_empty() && stages.clone().all(|trial| trial.names != chosen.names) {
+            ladder.push(rung(&format!("+ {}", chosen.names.join(" + ")), problem, Some(&with)));
+        }
         let verdict = match (decision.verdict, findings.is_empty()) {
             (Verdict::Adequate, false) => Verdict::Missing,
             (verdict, _) => verdict,
@@ -96,7 +105,7 @@ impl Composer<'_> {
             noise_floor: after.noise_floor(self.motion),
             next_test: if verdict == Verdict::Ambiguous { self.next_test(search, &decision) } else { None },
             ambiguous_with: decision.ambiguous_with,
-            missing_force: missing_force::map(problem, &search.base.refit, Part::All),
+            missing_force: self.missing_force(search, chosen),
             left: self.left(chosen, verdict, after.nrmse() / after.noise_floor(self.motion)),
             steps: self.steps(&without.unwrap_or_default(), &with),
             ladder,
@@ -120,6 +129,15 @@ impl Composer<'_> {
             Some((motion, Setting::between(self.nominal, model).ok()?))
         };
         Motion::together(self.tests.iter().map(part).collect::<Option<_>>()?).ok()
+    }
+
+    /// What the re-identified model lacks, and a draft of it: the law, where there is one that explains as much, or a sum of terms.
+    fn missing_force(&self, search: &Search, chosen: &Trial) -> Option<MissingForce> {
+        let force = missing_force::map(self.searcher.problem(), &search.base.refit, Part::All)?;
+        let law = laws::draft(chosen, &search.base);
+        let of_terms = force.expression.as_ref().map_or(0.0, |terms| terms.explains);
+        let expression = law.filter(|law| law.explains + AS_WELL > of_terms).or(force.expression);
+        Some(MissingForce { expression, ..force })
     }
 
     fn named(&self, search: &Search, decision: &Decision) -> Vec<NamedEffect> {

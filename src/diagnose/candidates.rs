@@ -1,7 +1,7 @@
 //! Which effects are tried, and from where their parameters start.
 
 use crate::identify::motion::Motion;
-use crate::model::effects::{self, Effect, Parameter, Place, Sign};
+use crate::model::effects::{self, Effect, Parameter, Place, Sign, stribeck_friction};
 use crate::model::{EffectSpec, ModelSpec, Scales};
 use std::f64::consts::TAU;
 
@@ -62,10 +62,10 @@ pub fn twin(name: &str) -> Option<&'static str> {
 pub struct Shape {
     /// Name of the parameter.
     pub name: &'static str,
-    /// Limits within which it can be simulated.
-    pub limits: (f64, f64),
-    /// The upper one of an explanation along a motion that is known, where that lets go farther.
-    pub at_last: Option<f64>,
+    /// Limits within which it can be simulated; none where a search leaves it as it is.
+    pub limits: Option<(f64, f64)>,
+    /// Those of an explanation along a motion that is known, where that lets go farther.
+    pub at_last: Option<(f64, f64)>,
     /// Where a fit begins that the default leads nowhere.
     pub other: Option<f64>,
 }
@@ -76,10 +76,19 @@ pub fn shapes(name: &str) -> &'static [Shape] {
         // With a gamma of 1 and more, unloading takes the element farther out; with an n below 1 its slope has a cusp at rest, and at 1,
         // the default, it bends there.
         "bouc-wen-hysteresis" => &[
-            Shape { name: "n", limits: (1.0, 5.0), at_last: Some(25.0), other: Some(2.0) },
-            Shape { name: "gamma", limits: (-0.5, 0.9), at_last: None, other: None },
+            Shape { name: "n", limits: Some((1.0, 5.0)), at_last: Some((1.0, 25.0)), other: Some(2.0) },
+            Shape { name: "gamma", limits: Some((-0.5, 0.9)), at_last: None, other: None },
         ],
-        "stand-compliance" => &[Shape { name: "zeta", limits: (1e-4, 0.3), at_last: None, other: None }],
+        "stand-compliance" => {
+            &[Shape { name: "zeta", limits: Some((1e-4, 0.3)), at_last: None, other: None }]
+        }
+        // What falls off otherwise falls off all the same: a search finds it as it usually is.
+        "stribeck-friction" => &[Shape {
+            name: stribeck_friction::EXPONENT,
+            limits: None,
+            at_last: Some(stribeck_friction::EXPONENTS),
+            other: None,
+        }],
         _ => &[],
     }
 }

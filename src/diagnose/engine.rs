@@ -229,7 +229,11 @@ fn of_motion(
         }
     }
     let search = searcher.search_from(base, first, options.thresholds);
-    let mut decision = verdict::decide(&search, &searcher, options.thresholds);
+    let decision = verdict::decide(&search, &searcher, options.thresholds);
+    let decision = searcher.exchanged(decision, &search.base, options.thresholds);
+    let decision = searcher.leaner(decision, &search.base, options.thresholds);
+    let mut decision = searcher.by_law(&search, decision, options.thresholds);
+    parts::done("verdict and laws");
     if let Some(lagging) = lagging.filter(|lagging| lagging.is_rather_than(&decision.chosen)) {
         let prompt = put_on_time(&lagging)?;
         let before = searcher.held_out_error(&decision.chosen).map(|error| error.nrmse());

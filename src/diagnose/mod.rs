@@ -4,6 +4,8 @@
 pub mod adding;
 mod anew;
 mod answer;
+mod at_last;
+mod by_force;
 mod by_response;
 pub mod candidates;
 mod contest;
@@ -13,6 +15,7 @@ mod errors;
 pub mod instruments;
 mod late;
 mod late_force;
+mod laws;
 mod likeness;
 pub mod live;
 pub mod missing_force;

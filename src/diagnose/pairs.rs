@@ -5,16 +5,22 @@ use super::candidates;
 use super::contest::{FURTHER_ON, HALF, best_first};
 use super::search::{Search, Searcher, Stage};
 use super::summits::in_short;
+use super::thresholds::Thresholds;
 use super::trial::{self, Trial};
-use super::verdict;
+use super::verdict::{self, Decision, Refused};
 use crate::identify::least_squares::Settings;
-use crate::identify::refit::Refit;
+use crate::identify::refit::{Domain, Refit};
 use crate::identify::response::Measured;
 use crate::model::EffectSpec;
+use crate::model::effects::maxwell_branch;
 use crate::parallel;
+use crate::record::Kind;
 
 /// Nats that a simpler effect beside the one that contains it has to bring.
 const MERGED: f64 = 20.0;
+/// How what does much the same is fitted in short along an imposed motion, and how many are in full.
+const IN_SHORT: Settings = Settings { iterations: 8, tolerance: 1e-5, difference: 1e-3 };
+const IN_FULL: usize = 3;
 /// So many candidates that the force puts first beside the second effect alone are fitted by the response.
 const BY_FORCE: usize = 4;
 
@@ -81,16 +87,135 @@ impl Searcher<'_> {
         (verdict::apart(pair, &alone) < MERGED).then_some(alone)
     }
 
+    /// What was decided of a component without the effects that the rest does as well without, and with Coulomb's friction for a Stribeck's
+    /// that does no better: what an effect was found for, a later one may have taken over.
+    pub(super) fn leaner(&self, mut decision: Decision, base: &Trial, thresholds: Thresholds) -> Decision {
+        while self.motion.kind == Kind::Component
+            && let Some((which, lean, ahead)) = self.leaner_by_one(&decision.chosen, base, thresholds)
+        {
+            let name = decision.chosen.names[which].clone();
+            if lean.names.len() < decision.chosen.names.len() && which < decision.probabilities.len() {
+                decision.probabilities.remove(which);
+            }
+            let reason = format!("as well explained without it: {:.1} nats apart", ahead.max(0.0));
+            decision.refused.push(Refused { name, reason });
+            decision.chosen = lean;
+        }
+        decision
+    }
+
+    /// A decision on a component that leaves more than noise with what does much the same in the place of one of its effects, a second
+    /// relaxation beside the first for a springpot, where that explains more: each was found beside what was still missing.
+    pub(super) fn exchanged(&self, mut decision: Decision, base: &Trial, thresholds: Thresholds) -> Decision {
+        for _ in 0..decision.chosen.names.len() {
+            let chosen = &decision.chosen;
+            if self.motion.kind != Kind::Component || verdict::leaves_noise(self, chosen, thresholds) {
+                break;
+            }
+            let starts: Vec<Trial> =
+                (0..chosen.names.len()).flat_map(|which| self.others(chosen, which, base)).collect();
+            let short = |start: &Trial| {
+                let refit = trial::polish(&self.screening, &start.refit, Domain::Force, IN_SHORT)?;
+                Some(Trial { refit, ..start.clone() })
+            };
+            let mut ended: Vec<Trial> =
+                parallel::map(&starts, parallel::cores(), short).into_iter().flatten().collect();
+            ended.sort_by(|a, b| trial::objective(&a.refit).total_cmp(&trial::objective(&b.refit)));
+            ended.truncate(IN_FULL);
+            let fitted = parallel::map(&ended, parallel::cores(), |start| self.fitted_by_force(start));
+            let better = fitted
+                .into_iter()
+                .flatten()
+                .reduce(|best, trial| if verdict::apart(&trial, &best) > 0.0 { trial } else { best });
+            let Some(better) = better.filter(|better| verdict::apart(better, chosen) > thresholds.tie) else {
+                break;
+            };
+            let gone: Vec<_> =
+                chosen.names.iter().filter(|name| !better.names.contains(name)).cloned().collect();
+            let reason = format!(
+                "explains less than what does much the same: {:.1} nats apart",
+                verdict::apart(&better, chosen)
+            );
+            decision.refused.extend(gone.into_iter().map(|name| Refused { name, reason: reason.clone() }));
+            decision.ambiguous_with.clear();
+            decision.probabilities = vec![verdict::EXPERIENCE; better.names.len()];
+            decision.chosen = better;
+        }
+        decision
+    }
+
+    /// Starts of what does much the same as one of the effects of an explanation, in its place.
+    fn others(&self, trial: &Trial, which: usize, base: &Trial) -> Vec<Trial> {
+        let Some(twin) = candidates::twin(&trial.names[which]) else { return Vec::new() };
+        let starts = self.starts_beside(&self.without_one(trial, which, base), twin, base);
+        if twin != maxwell_branch::EFFECT.name {
+            return starts;
+        }
+        // The faster of two relaxations is in the place of the springpot's fast end.
+        let time_s = |trial: &Trial| {
+            trial.refit.spec.effects.last().and_then(|of| of.parameters.get("tau_s").copied())
+        };
+        let twice = |slow: &Trial| {
+            let faster = self.starts_beside(slow, twin, base);
+            faster.into_iter().filter(|fast| time_s(fast) < time_s(slow)).collect::<Vec<_>>()
+        };
+        starts.iter().flat_map(twice).chain(starts.clone()).collect()
+    }
+
+    /// The effect that is missed least, the explanation without it or with the simpler one in its place, and how far that is behind, nats;
+    /// nothing where all are missed.
+    fn leaner_by_one(
+        &self,
+        trial: &Trial,
+        base: &Trial,
+        thresholds: Thresholds,
+    ) -> Option<(usize, Trial, f64)> {
+        let several = trial.names.len() > 1;
+        let without = |which| several.then(|| (which, self.without_one(trial, which, base), MERGED));
+        let plain =
+            |which| Some((which, self.with_plain_friction(trial, which, base)?, 0.5 * thresholds.tie));
+        let tried: Vec<(usize, Trial, f64)> =
+            (0..trial.names.len()).flat_map(|which| [without(which), plain(which)]).flatten().collect();
+        let fitted = parallel::map(&tried, parallel::cores(), |(which, lean, enough)| {
+            let lean = self.fitted_by_force(lean)?;
+            let ahead = verdict::apart(trial, &lean);
+            (ahead < *enough).then_some((*which, lean, ahead))
+        });
+        fitted.into_iter().flatten().min_by(|a, b| a.2.total_cmp(&b.2))
+    }
+
+    /// An explanation with Coulomb's friction in the place of its Stribeck's, to be fitted.
+    fn with_plain_friction(&self, trial: &Trial, which: usize, base: &Trial) -> Option<Trial> {
+        let known = trial.refit.spec.effects.len() - trial.names.len();
+        let friction =
+            trial.refit.spec.effects.get(known + which).filter(|of| of.name == "stribeck-friction")?;
+        let constant = ("fc_n".to_owned(), *friction.parameters.get("fc_n")?);
+        let mut plain = trial.clone();
+        plain.names[which] = "coulomb-friction".to_owned();
+        plain.refit.spec.effects[known + which] = EffectSpec {
+            name: "coulomb-friction".into(),
+            expression: None,
+            parameters: [constant].into_iter().collect(),
+        };
+        self.number_anew(&mut plain, known, base);
+        Some(plain)
+    }
+
+    /// Numbers of a model whose effects from one on are not those that it was fitted with.
+    fn number_anew(&self, trial: &mut Trial, from: usize, base: &Trial) {
+        let Refit { spec, numbers, .. } = &mut trial.refit;
+        let scales = candidates::scales(&base.refit.spec, self.motion);
+        numbers.clone_from(&base.refit.numbers);
+        (from..spec.effects.len()).for_each(|index| numbers.add_effect(spec, index, &scales));
+    }
+
     /// An explanation without one of its effects, to be fitted; the model's own numbers start where it has put them.
     fn without_one(&self, trial: &Trial, which: usize, base: &Trial) -> Trial {
         let mut without = trial.clone();
-        let Refit { spec, numbers, .. } = &mut without.refit;
-        let known = spec.effects.len() - without.names.len();
+        let known = without.refit.spec.effects.len() - without.names.len();
         without.names.remove(which);
-        spec.effects.remove(known + which);
-        let scales = candidates::scales(&base.refit.spec, self.motion);
-        numbers.clone_from(&base.refit.numbers);
-        (known..spec.effects.len()).for_each(|index| numbers.add_effect(spec, index, &scales));
+        without.refit.spec.effects.remove(known + which);
+        self.number_anew(&mut without, known, base);
         without
     }
 
@@ -120,8 +245,8 @@ impl Searcher<'_> {
 
     /// Starts of an effect beside a model, to be fitted; none where it is not tried.
     fn starts_beside(&self, model: &Trial, name: &str, base: &Trial) -> Vec<Trial> {
+        let effect = self.candidates_beside(model).into_iter().find(|effect| effect.name == name);
         let scales = candidates::scales(&base.refit.spec, self.motion);
-        let effect = self.candidates(&model.refit.spec).into_iter().find(|effect| effect.name == name);
         let starts = effect.map_or(Vec::new(), |effect| candidates::starts(effect, &scales));
         let with = |start: &EffectSpec| {
             let mut trial = model.clone();
@@ -197,7 +322,7 @@ mod tests {
         };
         let finalists = vec![short(&coulomb, 20), short(&stribeck, 1)];
         let first = Stage { finalists, ..Stage::default() };
-        let mut search = Search { base: base.clone(), stages: vec![first] };
+        let mut search = Search { base: base.clone(), stages: vec![first], law: None };
         // Beside the other the fit finds where it is.
         let near = effect("stribeck-friction", &[("fc_n", 18.0), ("fs_n", 37.0), ("vs_m_s", 0.019)]);
         let faint = effect("coulomb-friction", &[("fc_n", 1.0)]);

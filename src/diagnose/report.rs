@@ -211,6 +211,8 @@ fn tell(line: &mut impl FnMut(String), what: &str, force: &MissingForce) {
     ));
     if let Some(draft) = &force.expression {
         line(format!("  draft: {} (explains {:.0} %)", draft.expression, 100.0 * draft.explains));
+        let values = draft.parameters.iter().map(|(name, value)| format!("{name} = {}", Short(*value)));
+        line(format!("    with {}", values.collect::<Vec<_>>().join(", ")));
     }
 }
 

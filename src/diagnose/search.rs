@@ -1,7 +1,6 @@
 //! The search for what is missing: base re-fitted, candidates one by one, then in combination.
 
 use super::anew::{reached, tells_otherwise};
-use super::by_response::first_of_each;
 use super::candidates;
 use super::contest::{HOPELESS, best_first};
 use super::parts;
@@ -13,9 +12,8 @@ use crate::identify::motion::Motion;
 use crate::identify::problem::{NARROW, Part, Problem, WIDE};
 use crate::identify::refit::{Domain, Refit};
 use crate::identify::response::Measured;
-use crate::model::effects::{self, Effect};
+use crate::model::effects::{Effect, maxwell_branch};
 use crate::model::{EffectSpec, ModelSpec, Scales};
-use crate::parallel;
 use crate::record::Kind;
 
 /// Settings of a search.
@@ -51,16 +49,9 @@ const NEAR: f64 = 0.25;
 const PROMISING: f64 = 3.0;
 /// Share of its prior's width that is left to a number that the motion does not reach.
 pub(super) const UNSEEN: f64 = 0.9;
-/// Starts of an effect that the force sorts out where the response does so, too, and of a long record.
-const FEW: usize = 5;
-const FEWER: usize = 3;
-/// So many effects go on from there.
-const GOING_ON: usize = 10;
-/// So many finalists of a component are let go beyond the limits of a search.
-const LET_GO: usize = 2;
-/// So many finalists are simulated at most, those within so many nats of the best.
-const SIMULATED: usize = 3;
-const CLOSE: f64 = 50.0;
+
+/// Dry frictions, of which one contains the other.
+const FRICTIONS: [&str; 2] = ["coulomb-friction", "stribeck-friction"];
 
 /// What a search found at one stage: the best so far plus one more effect.
 #[derive(Clone, Debug, Default)]
@@ -80,6 +71,8 @@ pub struct Search {
     pub base: Trial,
     /// Stages, one effect more each.
     pub stages: Vec<Stage>,
+    /// The base model with a law beside it that the catalogue lacks, where that was tried.
+    pub(super) law: Option<Trial>,
 }
 
 /// Everything a search needs to know.
@@ -87,10 +80,10 @@ pub struct Searcher<'a> {
     pub(super) motion: &'a Motion,
     pub(super) effort: Effort,
     pub(super) screening: Problem<'a>,
-    fitting: Problem<'a>,
+    pub(super) fitting: Problem<'a>,
     /// The nominal model fitted by force.
     pub(super) fitted: Option<Refit>,
-    stride: usize,
+    pub(super) stride: usize,
     /// Effects that are not tried.
     without: Vec<&'static str>,
     /// The one effect that is tried, and no other beside it.
@@ -148,6 +141,23 @@ impl<'a> Searcher<'a> {
         }
         let mut effects = candidates::physical(spec);
         effects.retain(|effect| !self.without.contains(&effect.name));
+        effects
+    }
+
+    /// The same on top of an explanation. Along an imposed motion two dry frictions are one, and a relaxation may have
+    /// two times.
+    pub(super) fn candidates_beside(&self, from: &Trial) -> Vec<&'static Effect> {
+        let mut effects = self.candidates(&from.refit.spec);
+        if self.motion.kind == Kind::Component {
+            let rubs = |name: &str| FRICTIONS.contains(&name);
+            if from.names.iter().any(|name| rubs(name)) {
+                effects.retain(|effect| !rubs(effect.name));
+            }
+            let relaxes = |name: &&String| **name == maxwell_branch::EFFECT.name;
+            if from.names.iter().filter(relaxes).count() == 1 && self.only.is_none() {
+                effects.push(&maxwell_branch::EFFECT);
+            }
+        }
         effects
     }
 
@@ -211,7 +221,7 @@ impl<'a> Searcher<'a> {
     /// The same where the force has sorted out before: its fits do not depend on where the model's own numbers start.
     fn stage_again(&self, from: &Trial, known: Vec<(&'static str, Refit)>) -> Stage {
         let scales = candidates::scales(&from.refit.spec, self.motion);
-        let effects = self.candidates(&from.refit.spec);
+        let effects = self.candidates_beside(from);
         let Some(base) = self.settled(from) else {
             return Stage { finalists: Vec::new(), screened: Vec::new(), by_force: known };
         };
@@ -265,126 +275,6 @@ impl<'a> Searcher<'a> {
         trial::polish(&self.screening, &trial.refit, Domain::Force, settled)
     }
 
-    /// The best fit of every effect on the thinned record, best first: all starts take two steps, the best of
-    /// an effect goes on, the best two where no response sorts them out.
-    pub(super) fn screen(
-        &self,
-        base: &Refit,
-        effects: &[&'static Effect],
-        scales: &Scales,
-    ) -> Vec<(&'static str, Refit)> {
-        let first = Settings { iterations: 2, ..Settings::default() };
-        let then = Settings { iterations: 8, tolerance: 1e-5, ..Settings::default() };
-        // Where there is a response, it sorts the others out.
-        let most = match &self.measured {
-            Some(measured) if measured.is_long() => FEWER,
-            Some(_) => FEW,
-            None => usize::MAX,
-        };
-        // A springpot's many states beside a joint that opens and closes take a minute.
-        let joint = base.spec.effects.iter().any(|effect| effect.name == "backlash");
-        let quick =
-            |e: &&&'static Effect| !(joint && e.name == "fractional-damping" && self.measured.is_some());
-        let work: Vec<(&'static str, EffectSpec)> = effects
-            .iter()
-            .filter(quick)
-            .flat_map(|e| self.starts(e, scales).into_iter().take(most).map(|s| (e.name, s)))
-            .collect();
-        let tried = parallel::map(&work, parallel::cores(), |(name, start)| {
-            trial::in_force(&self.screening, base, start, scales, first).map(|refit| (*name, refit))
-        });
-        let mut tried: Vec<(&'static str, Refit)> = tried.into_iter().flatten().collect();
-        tried.sort_by(|a, b| trial::objective(&a.1).total_cmp(&trial::objective(&b.1)));
-        let most = if self.measured.is_some() { 1 } else { 2 };
-        first_of_each(&mut tried, |_| most, |(_, refit)| refit.spec.effects.last());
-        if self.measured.is_some() {
-            tried.truncate(GOING_ON);
-        }
-        let fitted = parallel::map(&tried, parallel::cores(), |(name, refit)| {
-            trial::polish(&self.screening, refit, Domain::Force, then).map(|refit| (*name, refit))
-        });
-        let mut best: Vec<(&'static str, Refit)> = Vec::new();
-        for (name, refit) in fitted.into_iter().flatten() {
-            match best.iter_mut().find(|(n, _)| *n == name) {
-                Some((_, old)) if trial::objective(&refit) < trial::objective(old) => *old = refit,
-                Some(_) => {}
-                None => best.push((name, refit)),
-            }
-        }
-        best.sort_by(|a, b| trial::objective(&a.1).total_cmp(&trial::objective(&b.1)));
-        best
-    }
-
-    /// Fits those that passed in full, ranks them by force on held-out steps, and has the best of
-    /// them simulated.
-    fn finalists(&self, from: &Trial, best: &[(&'static str, Refit)]) -> Vec<Trial> {
-        let fitted = parallel::map(best, parallel::cores(), |(name, refit)| {
-            let mut names = from.names.clone();
-            names.push((*name).to_owned());
-            let fine = Settings { iterations: 10, tolerance: 1e-6, ..Settings::default() };
-            let mut fit = trial::polish(&self.fitting, refit, Domain::Force, fine)?;
-            // What contains the model cannot fit worse than it: the fit of the thinned record led astray.
-            if trial::objective(&fit) > from.objective {
-                let other = trial::polish(&self.fitting, &self.beside(from, refit), Domain::Force, fine);
-                fit = other.filter(|o| trial::objective(o) < trial::objective(&fit)).unwrap_or(fit);
-            }
-            trial::judge_by_force(&self.fitting, &names, fit)
-        });
-        let mut finalists: Vec<Trial> = fitted.into_iter().flatten().collect();
-        let scales = candidates::scales(&from.refit.spec, self.motion);
-        self.shape_by_force(&mut finalists, &scales);
-        finalists.sort_by(|a, b| a.force.chi2.total_cmp(&b.force.chi2));
-        let close = finalists
-            .iter()
-            .take(SIMULATED)
-            .filter(|t| verdict::gain(&finalists[0], t) < CLOSE)
-            .cloned()
-            .collect::<Vec<_>>();
-        let simulated =
-            parallel::map(&close, parallel::cores(), |t| trial::finish(&self.fitting, t, self.stride));
-        for (slot, trial) in finalists.iter_mut().zip(simulated) {
-            if let Some(trial) = trial {
-                *slot = trial;
-            }
-        }
-        finalists
-    }
-
-    /// A trial fitted by the force along the measured motion, and judged by it.
-    pub(super) fn fitted_by_force(&self, trial: &Trial) -> Option<Trial> {
-        let fine = Settings { iterations: 20, tolerance: 1e-6, ..Settings::default() };
-        let refit = trial::polish(&self.fitting, &trial.refit, Domain::Force, fine)?;
-        trial::judge_by_force(&self.fitting, &trial.names, refit)
-    }
-
-    /// The model that a candidate was added to, with the candidate all but absent and shaped as it was fitted.
-    fn beside(&self, from: &Trial, fitted: &Refit) -> Refit {
-        let base = self.fitted.as_ref().filter(|_| from.names.is_empty()).unwrap_or(&from.refit);
-        let mut start = Refit { zero_m: base.zero_m, ..fitted.clone() };
-        for number in &base.numbers.numbers {
-            if let Ok(value) = base.spec.get(&number.key) {
-                // Every number of the base is one of the candidate's.
-                let _ = start.spec.set(&number.key, value);
-            }
-        }
-        let scales = candidates::scales(&base.spec, self.motion);
-        if let Some(last) = start.spec.effects.last_mut()
-            && let Ok(effect) = effects::find(&last.name)
-        {
-            let faint = effect.starting_spec(&scales);
-            let leading = (effect.parameters)(&scales).first().map(|p| p.name);
-            match leading.and_then(|name| faint.parameters.get_key_value(name)) {
-                // In place of the bumper's line: only both of its numbers together leave things as they are.
-                _ if last.name == "hertz-contact" => *last = faint,
-                Some((name, value)) => {
-                    last.parameters.insert(name.clone(), *value);
-                }
-                None => {}
-            }
-        }
-        start
-    }
-
     /// Adds effects one at a time for as long as a good part of the excess is left and falls.
     pub fn search(&self, base: Trial, thresholds: Thresholds) -> Search {
         self.search_from(base, None, thresholds)
@@ -400,7 +290,7 @@ impl<'a> Searcher<'a> {
         // A component's force is compared along an imposed motion: nothing but its gain ends the search.
         let component = self.motion.kind == Kind::Component;
         let enough = if component { 0.0 } else { 0.5 * thresholds.left };
-        let mut search = Search { base, stages: Vec::new() };
+        let mut search = Search { base, stages: Vec::new(), law: None };
         // Stages that brought something.
         let mut told = 0;
         // Beyond a pair the response explains anything.
@@ -461,9 +351,11 @@ impl<'a> Searcher<'a> {
             }
             self.merge(&mut stage, &mut search);
             let mut gained = brings(&stage);
+            // What a law explains needs no second effect.
+            let lawful = depth == 0 && component && self.is_lawful(&mut search, &stage, thresholds);
             // What two bring together neither may bring alone: play where the force has an offset.
             if component
-                && !gained
+                && !(gained || lawful)
                 && from.names.len() + 2 <= together
                 && let Some(best) = stage.finalists.first()
             {
@@ -488,21 +380,14 @@ impl<'a> Searcher<'a> {
                 break;
             }
             told = search.stages.len();
+            if lawful {
+                break;
+            }
         }
         if let Some(last) = search.stages[..told].last_mut() {
             self.let_go(last);
         }
         search
-    }
-
-    /// Fits the finalists of a component that are the last ones beyond limits that hold during the search.
-    fn let_go(&self, last: &mut Stage) {
-        if self.motion.kind == Kind::Component {
-            let first: Vec<Trial> = last.finalists.iter().take(LET_GO).cloned().collect();
-            let farther = parallel::map(&first, parallel::cores(), |trial| self.beyond_limits(trial.clone()));
-            last.finalists.iter_mut().zip(farther).for_each(|(trial, farther)| *trial = farther);
-            last.finalists.sort_by(|a, b| a.force.chi2.total_cmp(&b.force.chi2));
-        }
     }
 }
 

@@ -1,14 +1,13 @@
 //! Effects whose likelihood has more than one summit, or numbers that are left out at first: sharpness of a hysteresis, ringing of a
 //! stand, breakaway of friction. The search by the response calls them for the best of its candidates.
 
+use super::at_last::bound;
 use super::by_response::WORTH;
-use super::candidates::Shape;
 use super::contest::{FURTHER_ON, HALF, HOPELESS, SORTED_OUT};
 use super::search::Searcher;
 use super::trial::{self, Trial};
 use super::{candidates, verdict};
 use crate::identify::least_squares::Settings;
-use crate::identify::refit::Refit;
 use crate::identify::response::{Measured, Until};
 use crate::model::effects::coulomb_friction::TURNING;
 use crate::model::{ModelSpec, Scales, effects};
@@ -28,9 +27,6 @@ const FALLING: f64 = 5.0;
 
 /// Velocities over which Coulomb's friction may turn round, over the typical velocity.
 const TURNS: [f64; 4] = [3e-3, 1e-2, 3e-2, 0.1];
-
-/// A number is at its limit when it is so near.
-const AT_LIMIT: f64 = 1e-3;
 
 impl Searcher<'_> {
     /// Lets the shape of the last effect follow, too, where that pays: in those that may be the best then, which bring no more by it than
@@ -126,34 +122,6 @@ impl Searcher<'_> {
             }
         }
         limits
-    }
-
-    /// An explanation of a component with the numbers of shape that ended at the limit of what can be simulated let go: along a motion that is
-    /// known, corners may be sharper. A search does without: beside what is still missing they would be too sharp.
-    pub(super) fn beyond_limits(&self, trial: Trial) -> Trial {
-        if self.motion.kind != Kind::Component {
-            return trial;
-        }
-        let mut wider = trial.clone();
-        let Refit { spec, numbers, fit, .. } = &mut wider.refit;
-        let mut at_limit = false;
-        for (index, effect) in spec.effects.iter().enumerate() {
-            for Shape { name, limits: (_, high), at_last, .. } in candidates::shapes(&effect.name) {
-                let Some(farthest) = at_last else { continue };
-                let key = format!("effect[{index}].{name}");
-                let all = numbers.numbers.iter().zip(&mut numbers.free).zip(&fit.values);
-                for ((number, free), value) in all.filter(|((number, _), _)| number.key == key) {
-                    // What has been let go is where it is.
-                    let is_held = free.bounds.1 < number.as_fitted(*farthest);
-                    if is_held && *value >= number.as_fitted(*high) - AT_LIMIT {
-                        free.bounds.1 = number.as_fitted(*farthest);
-                        at_limit = true;
-                    }
-                }
-            }
-        }
-        let farther = if at_limit { self.fitted_by_force(&wider) } else { None };
-        farther.filter(|farther| verdict::apart(farther, &trial) > 0.0).unwrap_or(trial)
     }
 
     /// A stand's likelihood has a summit for every number of ringings between two contacts: those beside the one that was found, for as
@@ -304,7 +272,7 @@ fn with_last(from: &Trial, spec: ModelSpec, scales: &Scales) -> Option<Trial> {
 }
 
 /// The same of the numbers of one of its effects.
-fn with_effect(mut trial: Trial, spec: ModelSpec, index: usize, scales: &Scales) -> Trial {
+pub(super) fn with_effect(mut trial: Trial, spec: ModelSpec, index: usize, scales: &Scales) -> Trial {
     let own = format!("effect[{index}].");
     trial.refit.numbers.retain(|key| !key.starts_with(&own));
     trial.refit.numbers.add_effect(&spec, index, scales);
@@ -322,25 +290,21 @@ fn with_shape_of(trial: &Trial, index: usize, scales: &Scales) -> Option<Trial> 
     let mut spec = trial.refit.spec.clone();
     let is_last = index + 1 == spec.effects.len();
     let of = spec.effects.get_mut(index)?;
-    let shapes = candidates::shapes(&of.name);
-    let is_fitted = !is_last && shapes.iter().all(|shape| of.parameters.contains_key(shape.name));
+    let shapes = candidates::shapes(&of.name).iter().filter_map(|shape| Some((shape.name, shape.limits?)));
+    let shapes: Vec<(&str, (f64, f64))> = shapes.collect();
+    let is_fitted = !is_last && shapes.iter().all(|(name, _)| of.parameters.contains_key(*name));
     // One whose loading shape is fitted has its own already; sharper, it would grow without bounds.
     if shapes.is_empty() || of.parameters.contains_key("beta") || is_fitted {
         return None;
     }
     let effect = effects::find(&of.name).ok()?;
-    for shape in shapes {
-        let default = (effect.parameters)(scales).iter().find(|p| p.name == shape.name)?.default?;
-        of.parameters.entry(shape.name.to_owned()).or_insert(default);
+    for (name, _) in &shapes {
+        let default = (effect.parameters)(scales).iter().find(|p| p.name == *name)?.default?;
+        of.parameters.entry((*name).to_owned()).or_insert(default);
     }
     let mut shaped = with_effect(trial.clone(), spec, index, scales);
-    for Shape { name, limits: (low, high), .. } in shapes {
-        let key = format!("effect[{index}].{name}");
-        let Refit { numbers, .. } = &mut shaped.refit;
-        let numbers = numbers.numbers.iter().zip(&mut numbers.free);
-        numbers.filter(|(number, _)| number.key == key).for_each(|(number, free)| {
-            free.bounds = (number.as_fitted(*low), number.as_fitted(*high));
-        });
+    for (name, limits) in shapes {
+        bound(&mut shaped.refit, &format!("effect[{index}].{name}"), limits);
     }
     Some(shaped)
 }

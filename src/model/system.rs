@@ -201,6 +201,26 @@ impl Oscillation {
     }
 }
 
+/// A friction that falls off with velocity: N exp(-(v/vs)^delta).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Fall {
+    /// What falls off, N.
+    pub force_n: f64,
+    /// 1/vs2, s2/m2.
+    pub per_square_s2_m2: f64,
+    /// Half of its exponent, delta/2.
+    pub half_exponent: f64,
+}
+
+impl Fall {
+    /// What is left of it at a speed, N.
+    fn at(&self, speed_m_s: f64) -> f64 {
+        let square = speed_m_s * speed_m_s * self.per_square_s2_m2;
+        let power = if self.half_exponent == 1.0 { square } else { square.powf(self.half_exponent) };
+        self.force_n * (-power).exp()
+    }
+}
+
 /// Dry friction: sliding, breakaway, and the velocity over which one falls to the other.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Friction {
@@ -208,8 +228,8 @@ pub struct Friction {
     pub sliding_n: f64,
     /// Breakaway force, N.
     pub breakaway_n: f64,
-    /// What falls off with velocity, N, and 1/vs2, s2/m2.
-    pub fall: [(f64, f64); 2],
+    /// What falls off with velocity.
+    pub fall: [Fall; 2],
     /// How many entries of `fall` are in use.
     pub falls: usize,
 }
@@ -217,8 +237,7 @@ pub struct Friction {
 impl Friction {
     /// Force while sliding at a speed, N.
     pub fn at(&self, speed_m_s: f64) -> f64 {
-        let fall = &self.fall[..self.falls];
-        self.sliding_n + fall.iter().map(|(n, s)| n * (-speed_m_s * speed_m_s * s).exp()).sum::<f64>()
+        self.sliding_n + self.fall[..self.falls].iter().map(|fall| fall.at(speed_m_s)).sum::<f64>()
     }
 }
 
@@ -306,14 +325,25 @@ impl System {
         Ok(system)
     }
 
-    /// Adds dry friction to what is there already.
-    pub fn add_friction(&mut self, sliding_n: f64, breakaway_n: f64, stribeck_velocity_m_s: f64) {
+    /// Adds dry friction to what is there already; what breakaway takes more than sliding falls off with the velocity over that of Stribeck
+    /// to the power of `exponent`.
+    pub fn add_friction(
+        &mut self,
+        sliding_n: f64,
+        breakaway_n: f64,
+        stribeck_velocity_m_s: f64,
+        exponent: f64,
+    ) {
         let friction = self.friction.get_or_insert_default();
         friction.sliding_n += sliding_n;
         friction.breakaway_n += breakaway_n;
         if breakaway_n > sliding_n && stribeck_velocity_m_s.is_finite() {
             let slot = friction.falls.min(1);
-            friction.fall[slot] = (breakaway_n - sliding_n, stribeck_velocity_m_s.powi(-2));
+            friction.fall[slot] = Fall {
+                force_n: breakaway_n - sliding_n,
+                per_square_s2_m2: stribeck_velocity_m_s.powi(-2),
+                half_exponent: 0.5 * exponent,
+            };
             friction.falls = slot + 1;
         }
     }

@@ -39,7 +39,7 @@ pub static EFFECT: Effect = Effect {
         if over_m_s > 0.0 {
             system.mass_terms.push(Box::new(Smooth { force_n, over_m_s }));
         } else {
-            system.add_friction(force_n, force_n, f64::INFINITY);
+            system.add_friction(force_n, force_n, f64::INFINITY, 2.0);
         }
         Ok(())
     },

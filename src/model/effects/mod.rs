@@ -22,12 +22,12 @@ mod iwan_hysteresis;
 mod laser_delay;
 mod laser_gain;
 mod mass_error;
-mod maxwell_branch;
+pub mod maxwell_branch;
 mod parameter;
 mod quadratic_damping;
 mod stand_compliance;
 mod stiffness_degradation;
-mod stribeck_friction;
+pub mod stribeck_friction;
 mod table_interaction;
 #[cfg(test)]
 mod tests;

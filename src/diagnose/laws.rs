@@ -1,0 +1,236 @@
+//! Laws of force that the field knows and the catalogue lacks, in place of what was named along an imposed motion: two effects, or three,
+//! stand in for one that there is no name for, and come near it. Where one law with fewer numbers does better than all of them, the verdict
+//! is "outside the catalogue", and the law is its draft. Where a response is simulated, shapes of force do so.
+
+use super::missing_force::Draft;
+use super::search::{Search, Searcher, Stage};
+use super::thresholds::Thresholds;
+use super::trial::Trial;
+use super::verdict::{self, Decision, Refused, Verdict};
+use crate::identify::refit::Refit;
+use crate::model::{EffectSpec, ModelSpec, Scales};
+use crate::parallel;
+use crate::record::Kind;
+
+/// A law with its own numbers.
+struct Law {
+    /// Force as an expression; `f_n` (N) is how strong it is, `dm_m`, `vm_m_s` and `vt_m_s` are chosen.
+    expression: &'static str,
+    /// Numbers that are fitted beside the strength.
+    numbers: &'static [Own],
+}
+
+/// A number of a law.
+struct Own {
+    name: &'static str,
+    /// What it is given over.
+    over: fn(&Scales) -> f64,
+    limits: [f64; 2],
+    /// Where fits begin.
+    starts: &'static [f64],
+}
+
+const ONE: fn(&Scales) -> f64 = |_| 1.0;
+const VELOCITY: fn(&Scales) -> f64 = |scales| scales.velocity_m_s;
+const LENGTH: fn(&Scales) -> f64 = |scales| scales.displacement_m;
+
+/// Fluid dampers, whose force is a power of the velocity (M. C. Constantinou and M. D. Symans, Struct. Des. Tall Build. 2 (1993) 93);
+/// sliding bearings, whose friction rises with it (M. Constantinou, A. Mokha, A. Reinhorn, J. Struct. Eng. 116 (1990) 455); friction that
+/// grows with the displacement (T. J. Reid, J. R. Aeronaut. Soc. 60 (1956) 283), damping that does, and springs that stiffen faster than
+/// their cube.
+const LAWS: [Law; 5] = [
+    Law {
+        expression: "f_n*abs(v/vm_m_s)^p*signum(v)",
+        numbers: &[Own { name: "p", over: ONE, limits: [0.05, 6.0], starts: &[0.35, 0.7, 3.0] }],
+    },
+    Law {
+        expression: "f_n*(1-r*exp(0-abs(v)/vs_m_s))*tanh(v/vt_m_s)",
+        numbers: &[
+            Own { name: "r", over: ONE, limits: [0.02, 1.0], starts: &[0.5] },
+            Own { name: "vs_m_s", over: VELOCITY, limits: [1e-3, 3.0], starts: &[0.05, 0.3] },
+        ],
+    },
+    Law { expression: "f_n*abs(d/dm_m)*tanh(v/vt_m_s)", numbers: &[] },
+    Law {
+        expression: "f_n*abs(d/dm_m)^q*v/vm_m_s",
+        numbers: &[Own { name: "q", over: ONE, limits: [0.3, 6.0], starts: &[1.5] }],
+    },
+    Law {
+        expression: "f_n*sinh(d/dl_m)",
+        numbers: &[Own { name: "dl_m", over: LENGTH, limits: [0.05, 3.0], starts: &[0.3] }],
+    },
+];
+
+/// Velocity over which friction turns round, over the typical one: less than shows.
+const TURNING: f64 = 1e-3;
+/// How strong a law is at first, over the typical force.
+const STRENGTH: f64 = 0.3;
+/// What a trial is called that has a law in it.
+const NAME: &str = "expression";
+
+impl Searcher<'_> {
+    /// What was decided, or that a law explains it rather.
+    pub(super) fn by_law(&self, search: &Search, decision: Decision, thresholds: Thresholds) -> Decision {
+        if self.motion.kind != Kind::Component || decision.verdict == Verdict::Adequate {
+            return decision;
+        }
+        let with = search.law.clone().or_else(|| self.lawful(&search.base));
+        let Some(with) = with else { return decision };
+        let (taken, ahead) = (&decision.chosen, verdict::apart(&with, &decision.chosen));
+        if verdict::gain(&with, taken) <= 0.0 || ahead < thresholds.of_shape_instead(taken) {
+            return decision;
+        }
+        let mut refused = decision.refused;
+        if !taken.names.is_empty() {
+            let reason = format!("explains less than the drafted force does: {ahead:.1} nats apart");
+            refused.push(Refused { name: taken.names.join(" with "), reason });
+        }
+        Decision {
+            verdict: Verdict::OutsideCatalogue,
+            left: with.share_left(&search.base),
+            chosen: with,
+            ambiguous_with: Vec::new(),
+            probabilities: Vec::new(),
+            refused,
+        }
+    }
+
+    /// Whether a law leaves nothing of a component but noise, which the base model does not, and does better than each first effect.
+    pub(super) fn is_lawful(&self, search: &mut Search, first: &Stage, thresholds: Thresholds) -> bool {
+        if verdict::leaves_noise(self, &search.base, thresholds) {
+            return false;
+        }
+        search.law = self.lawful(&search.base);
+        let best = first.finalists.iter().fold(&search.base, verdict::better);
+        search.law.as_ref().is_some_and(|with| {
+            verdict::apart(with, best) > thresholds.of_shape_instead(best)
+                && verdict::leaves_noise(self, with, thresholds)
+        })
+    }
+
+    /// The base model with the law beside it that explains most.
+    fn lawful(&self, base: &Trial) -> Option<Trial> {
+        let scales = super::candidates::scales(&base.refit.spec, self.motion);
+        let starts: Vec<Trial> = LAWS.iter().flat_map(|law| law.starts(base, &scales)).collect();
+        let fitted = parallel::map(&starts, parallel::cores(), |start| self.fitted_by_force(start));
+        fitted.into_iter().flatten().reduce(|best, trial| {
+            let is_better = verdict::apart(&trial, &best) > 0.0;
+            if is_better { trial } else { best }
+        })
+    }
+}
+
+impl Law {
+    /// Where fits of the base model with the law beside it begin.
+    fn starts(&self, base: &Trial, scales: &Scales) -> Vec<Trial> {
+        let (velocity_m_s, displacement_m) = (scales.velocity_m_s, scales.displacement_m);
+        let chosen = [("dm_m", displacement_m), ("vm_m_s", velocity_m_s), ("vt_m_s", TURNING * velocity_m_s)];
+        let mut starts = vec![EffectSpec {
+            name: NAME.into(),
+            expression: Some(self.expression.into()),
+            parameters: chosen
+                .into_iter()
+                .filter(|(name, _)| self.expression.contains(name))
+                .chain([("f_n", STRENGTH * scales.force_n)])
+                .map(|(name, value)| (name.to_owned(), value))
+                .collect(),
+        }];
+        for own in self.numbers {
+            let with = |start: &EffectSpec, value: &f64| {
+                let mut start = start.clone();
+                start.parameters.insert(own.name.to_owned(), value * (own.over)(scales));
+                start
+            };
+            starts =
+                starts.iter().flat_map(|start| own.starts.iter().map(|value| with(start, value))).collect();
+        }
+        starts.into_iter().map(|start| self.beside(base, &start, scales)).collect()
+    }
+
+    /// The base model with the law beside it, the law's numbers within their limits.
+    fn beside(&self, base: &Trial, start: &EffectSpec, scales: &Scales) -> Trial {
+        let Refit { spec, numbers, .. } = &base.refit;
+        let (mut spec, mut numbers): (ModelSpec, _) = (spec.clone(), numbers.clone());
+        spec.effects.push(start.clone());
+        let index = spec.effects.len() - 1;
+        numbers.start_from(&spec);
+        numbers.add_effect(&spec, index, scales);
+        let prefix = format!("effect[{index}].");
+        let own = |key: &str| {
+            key.strip_prefix(&prefix).map(|name| self.numbers.iter().find(|own| own.name == name))
+        };
+        numbers.retain(|key| own(key).is_none_or(|own| own.is_some()) || key == format!("{prefix}f_n"));
+        for free in &mut numbers.free {
+            if let Some(Some(own)) = own(&free.key) {
+                let [low, high] = own.limits;
+                free.bounds = (low * (own.over)(scales), high * (own.over)(scales));
+            }
+        }
+        let names = base.names.iter().cloned().chain([NAME.to_owned()]).collect();
+        Trial { names, refit: Refit { spec, numbers, ..base.refit.clone() }, ..base.clone() }
+    }
+}
+
+/// The law that a trial has in it, as a draft; none where it has none.
+pub fn draft(trial: &Trial, base: &Trial) -> Option<Draft> {
+    let last = trial.refit.spec.effects.last().filter(|_| trial.names.last().is_some_and(|n| n == NAME))?;
+    Some(Draft {
+        expression: last.expression.clone()?,
+        parameters: last.parameters.clone(),
+        explains: 1.0 - trial.force.mean() / base.force.mean().max(1e-300),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnose::testing::imposed;
+    use crate::diagnose::{Diagnosis, Options, diagnose};
+    use crate::model::testing::{b1_g2, effect};
+
+    /// What is said of a component without bumpers that has such effects.
+    fn said_of(effects: Vec<EffectSpec>) -> Diagnosis {
+        let nominal = ModelSpec { bumper: None, ..b1_g2() };
+        let mut truth = nominal.clone();
+        truth.isolator.damping_n_s_m *= 0.9;
+        truth.effects = effects;
+        diagnose(&imposed(&truth, 61), &nominal, &Options::default()).expect("a sound record")
+    }
+
+    #[test]
+    fn laws_that_the_catalogue_lacks_are_drafted_with_their_numbers() {
+        let fluid = effect("expression", &[("c", 300.0), ("p", 0.4)]);
+        let fluid = EffectSpec { expression: Some("c*abs(v/0.1)^p*signum(v)".into()), ..fluid };
+        let pendulum = EffectSpec {
+            expression: Some("300*(1-0.6*exp(0-abs(v)/0.03))*tanh(v/0.0001)".into()),
+            ..effect("expression", &[])
+        };
+        for (of, numbers) in [(fluid, &[("p", 0.4)][..]), (pendulum, &[("r", 0.6), ("vs_m_s", 0.03)])] {
+            let found = said_of(vec![of]);
+            assert_eq!(found.verdict, Verdict::OutsideCatalogue);
+            let draft = found.missing_force.and_then(|force| force.expression).expect("a draft");
+            for (name, truth) in numbers {
+                let told = draft.parameters[*name];
+                assert!((told / truth - 1.0).abs() < 0.03, "{name}: {told} for {truth}");
+            }
+            assert!(
+                found.error_after < 1.1 * found.noise_floor,
+                "{} {}",
+                found.error_after,
+                found.noise_floor
+            );
+        }
+    }
+
+    #[test]
+    fn two_effects_that_a_law_comes_near_stay_two() {
+        let both = [
+            effect("coulomb-friction", &[("fc_n", 100.0)]),
+            effect("quadratic-damping", &[("c2_n_s2_m2", 8000.0)]),
+        ];
+        let found = said_of(both.to_vec());
+        let mut names: Vec<&str> = found.effects.iter().map(|of| of.name.as_str()).collect();
+        names.sort_unstable();
+        assert_eq!((found.verdict, names), (Verdict::Missing, vec!["coulomb-friction", "quadratic-damping"]));
+    }
+}
