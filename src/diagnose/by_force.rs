@@ -113,6 +113,13 @@ impl Searcher<'_> {
         trial::judge_by_force(&self.fitting, &trial.names, refit)
     }
 
+    /// Trials fitted so, the one that explains most.
+    pub(super) fn likeliest_by_force(&self, starts: &[Trial]) -> Option<Trial> {
+        let fitted = parallel::map(starts, parallel::cores(), |start| self.fitted_by_force(start));
+        let better = |best, trial| if verdict::apart(&trial, &best) > 0.0 { trial } else { best };
+        fitted.into_iter().flatten().reduce(better)
+    }
+
     /// The model that a candidate was added to, with the candidate all but absent and shaped as it was fitted.
     fn beside(&self, from: &Trial, fitted: &Refit) -> Refit {
         let base = self.fitted.as_ref().filter(|_| from.names.is_empty()).unwrap_or(&from.refit);

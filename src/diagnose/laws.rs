@@ -2,6 +2,7 @@
 //! stand in for one that there is no name for, and come near it. Where one law with fewer numbers does better than all of them, the verdict
 //! is "outside the catalogue", and the law is its draft. Where a response is simulated, shapes of force do so.
 
+use super::at_last::bound;
 use super::missing_force::Draft;
 use super::search::{Search, Searcher, Stage};
 use super::thresholds::Thresholds;
@@ -9,7 +10,6 @@ use super::trial::Trial;
 use super::verdict::{self, Decision, Refused, Verdict};
 use crate::identify::refit::Refit;
 use crate::model::{EffectSpec, ModelSpec, Scales};
-use crate::parallel;
 use crate::record::Kind;
 
 /// A law with its own numbers.
@@ -112,11 +112,7 @@ impl Searcher<'_> {
     fn lawful(&self, base: &Trial) -> Option<Trial> {
         let scales = super::candidates::scales(&base.refit.spec, self.motion);
         let starts: Vec<Trial> = LAWS.iter().flat_map(|law| law.starts(base, &scales)).collect();
-        let fitted = parallel::map(&starts, parallel::cores(), |start| self.fitted_by_force(start));
-        fitted.into_iter().flatten().reduce(|best, trial| {
-            let is_better = verdict::apart(&trial, &best) > 0.0;
-            if is_better { trial } else { best }
-        })
+        self.likeliest_by_force(&starts)
     }
 }
 
@@ -156,18 +152,14 @@ impl Law {
         numbers.start_from(&spec);
         numbers.add_effect(&spec, index, scales);
         let prefix = format!("effect[{index}].");
-        let own = |key: &str| {
-            key.strip_prefix(&prefix).map(|name| self.numbers.iter().find(|own| own.name == name))
-        };
-        numbers.retain(|key| own(key).is_none_or(|own| own.is_some()) || key == format!("{prefix}f_n"));
-        for free in &mut numbers.free {
-            if let Some(Some(own)) = own(&free.key) {
-                let [low, high] = own.limits;
-                free.bounds = (low * (own.over)(scales), high * (own.over)(scales));
-            }
+        let fitted = |name: &str| name == "f_n" || self.numbers.iter().any(|own| own.name == name);
+        numbers.retain(|key| key.strip_prefix(&prefix).is_none_or(fitted));
+        let mut refit = Refit { spec, numbers, ..base.refit.clone() };
+        for Own { name, over, limits: [low, high], .. } in self.numbers {
+            bound(&mut refit, &format!("{prefix}{name}"), (low * over(scales), high * over(scales)));
         }
         let names = base.names.iter().cloned().chain([NAME.to_owned()]).collect();
-        Trial { names, refit: Refit { spec, numbers, ..base.refit.clone() }, ..base.clone() }
+        Trial { names, refit, ..base.clone() }
     }
 }
 

@@ -122,11 +122,7 @@ impl Searcher<'_> {
                 parallel::map(&starts, parallel::cores(), short).into_iter().flatten().collect();
             ended.sort_by(|a, b| trial::objective(&a.refit).total_cmp(&trial::objective(&b.refit)));
             ended.truncate(IN_FULL);
-            let fitted = parallel::map(&ended, parallel::cores(), |start| self.fitted_by_force(start));
-            let better = fitted
-                .into_iter()
-                .flatten()
-                .reduce(|best, trial| if verdict::apart(&trial, &best) > 0.0 { trial } else { best });
+            let better = self.likeliest_by_force(&ended);
             let Some(better) = better.filter(|better| verdict::apart(better, chosen) > thresholds.tie) else {
                 break;
             };
