@@ -118,6 +118,28 @@ fn a_fluid_damper_is_outside_the_catalogue_and_drafted() {
 }
 
 #[test]
+fn a_dashpot_that_is_none_is_told_so_beside_a_damper_whatever_was_guessed() {
+    // It ended at a twentieth of the guess, and the power of the law made up for that.
+    let of = |damping_n_s_m: f64| Rig { damping_n_s_m, ..SPRING };
+    let mut guess = nominal(of(3000.0));
+    guess.uncertainty = Some(Uncertainty {
+        isolator: Some(IsolatorUncertainty {
+            stiffness_n_m: vec![1.0],
+            damping_n_s_m: Some(1.0),
+            ..IsolatorUncertainty::default()
+        }),
+        ..Uncertainty::default()
+    });
+    let found =
+        diagnose(&orifice(of(0.0), [2000.0, 0.5], 16), &guess, &Options::default()).expect("a sound record");
+    assert_eq!(found.verdict, Verdict::OutsideCatalogue, "{:?}", found.effects);
+    let draft = found.missing_force.as_ref().and_then(|force| force.expression.as_ref()).expect("a draft");
+    assert!((draft.parameters["p"] - 0.5).abs() < 0.01, "{draft:?}");
+    let told = found.reidentified.iter().find(|number| number.key == "isolator.damping_n_s_m");
+    assert!(told.is_some_and(|dashpot| dashpot.value < 20.0), "{told:?}");
+}
+
+#[test]
 fn what_is_named_and_leaves_more_than_noise_says_so() {
     // Beside a hysteresis the same force has no name of its own; what comes near stood there as if it were all.
     let (mut record, mut yielded_m) = (fluid_damper(), 0.0_f64);

@@ -1,9 +1,10 @@
 //! `shaketable diagnose`: what is missing from the model, and the next test.
 
+use super::fitted::failed;
 use super::reading::ReadingArgs;
-use super::{CliError, Outcome};
+use super::{CliError, Outcome, parts};
 use crate::diagnose::live::evidence;
-use crate::diagnose::{DiagnoseError, Options, diagnose_together};
+use crate::diagnose::{Options, diagnose_together};
 use crate::model::{ModelSpec, effects};
 use crate::record::Record;
 use crate::report::diagnosis::page;
@@ -63,12 +64,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let known = |name: &String| effects::find(name).map(|effect| effect.name).map_err(CliError::usage);
     let without = args.without.iter().map(known).collect::<Result<_, _>>()?;
     let options = Options { anyway: args.anyway, without, ..Options::default() };
-    let answer = diagnose_together(&tests, &options).map_err(|error| match error {
-        DiagnoseError::Unfit { .. } => CliError::failed(format!(
-            "{error}; name its columns with their sign and unit (`--map`), or see what comes of it with --anyway"
-        )),
-        error => CliError::failed(error),
-    })?;
+    let answer = parts::shown(|| diagnose_together(&tests, &options)).map_err(failed)?;
     if let Some(path) = &args.report {
         let title = format!("What is missing: {names} against {}", models[0].name);
         page(&title, &answer).and_then(|page| page.write(path)).map_err(CliError::failed)?;

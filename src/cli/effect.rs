@@ -1,6 +1,6 @@
 //! `effect`: the catalogue, and effects into and out of model files.
 
-use super::fitted::{print_errors, print_numbers};
+use super::fitted::{print_errors, print_numbers, refuse_unfit};
 use super::reading::{ReadingArgs, read_model, say_new};
 use super::{CliError, Outcome};
 use crate::config::Check;
@@ -59,6 +59,9 @@ enum Action {
         fit: Option<PathBuf>,
         #[command(flatten)]
         reading: ReadingArgs,
+        /// Fit to a record that is too short, saturated, of wrong sign or unit, ... all the same
+        #[arg(long, requires = "fit")]
+        anyway: bool,
         /// Replace an existing file
         #[arg(long)]
         force: bool,
@@ -93,7 +96,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
         Action::Show { name, model, json } => {
             show(effects::find(&name).map_err(CliError::usage)?, &read_model(&model)?, json)?;
         }
-        Action::Add { name, model, output, parameters, expression, fit, reading, force, json } => {
+        Action::Add { name, model, output, parameters, expression, fit, reading, anyway, force, json } => {
             refuse_existing(&output, force)?;
             let nominal = read_model(&model)?;
             let scales = Scales::of_spec(&nominal, 1.0 / SAMPLE_RATE_HZ);
@@ -108,6 +111,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
                 None => None,
                 Some(record) => {
                     let record = reading.of(record).open()?;
+                    refuse_unfit(&record, &nominal, anyway)?;
                     let added = adding::add(&record, &nominal, &spec, &given).map_err(CliError::failed)?;
                     say_new(&added.notes, &record);
                     Some(added)

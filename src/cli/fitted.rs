@@ -1,11 +1,34 @@
-//! What a fit found, as `identify` and `effect add` print it.
+//! What `identify`, `effect add` and `diagnose` fit, and how the first two print what they found.
 
+use super::CliError;
+use crate::diagnose::{DiagnoseError, fitness};
 use crate::identify::refit::FittedNumber;
+use crate::model::ModelSpec;
+use crate::record::{Record, mended::mended};
+
+/// Refuses to fit a model to a record that is not fit for it, unless it is to be used anyway.
+///
+/// # Errors
+/// [`CliError::Failed`] with what is wrong, and what to do.
+pub fn refuse_unfit(record: &Record, model: &ModelSpec, anyway: bool) -> Result<(), CliError> {
+    fitness(&mended(record), model, anyway).map(drop).map_err(failed)
+}
+
+/// A diagnosis that failed; of a record that is not fit for it, with what to do.
+pub fn failed(error: DiagnoseError) -> CliError {
+    match error {
+        DiagnoseError::Unfit { .. } => CliError::failed(format!(
+            "{error}; name its columns with their sign and unit (`--map`), or see what comes of it with --anyway"
+        )),
+        error => CliError::failed(error),
+    }
+}
 
 /// One line for each number.
 pub fn print_numbers(numbers: &[FittedNumber]) {
-    for FittedNumber { key, nominal, value, low95, high95 } in numbers {
-        println!("{key:<28} {nominal:>14.6} -> {value:>14.6}  (95 %: {low95:.6} to {high95:.6})");
+    for number in numbers {
+        let (FittedNumber { key, nominal, value, low95, high95, .. }, remark) = (number, number.remark());
+        println!("{key:<28} {nominal:>14.6} -> {value:>14.6}  (95 %: {low95:.6} to {high95:.6}{remark})");
     }
 }
 
@@ -15,5 +38,23 @@ pub fn print_errors(errors: &[(&str, Option<f64>)]) {
     let told: Vec<_> = told.collect();
     if !told.is_empty() {
         println!("held-out error: {}", told.join(", "));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnose::testing::imposed;
+    use crate::model::testing::b1_g2;
+
+    #[test]
+    fn a_record_of_the_wrong_sign_is_fitted_to_only_when_asked_for() {
+        let model = ModelSpec { bumper: None, ..b1_g2() };
+        let mut record = imposed(&model, 7);
+        assert!(refuse_unfit(&record, &model, false).is_ok());
+        record.force_n.iter_mut().for_each(|force| *force = -*force);
+        let refused = refuse_unfit(&record, &model, false).expect_err("turned").to_string();
+        assert!(refused.contains("wrong sign") && refused.contains("--anyway"), "{refused}");
+        assert!(refuse_unfit(&record, &model, true).is_ok());
     }
 }

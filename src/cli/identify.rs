@@ -1,6 +1,6 @@
 //! `shaketable identify`: re-fit a model's own numbers to a record.
 
-use super::fitted::{print_errors, print_numbers};
+use super::fitted::{print_errors, print_numbers, refuse_unfit};
 use super::reading::{ReadArgs, say_new};
 use super::{CliError, Outcome};
 use crate::diagnose::out_there::out_there;
@@ -23,6 +23,9 @@ pub struct Args {
     /// Where to write the re-fitted model.
     #[arg(short, long)]
     output: Option<PathBuf>,
+    /// Fit to a record that is too short, saturated, of wrong sign or unit, ... all the same.
+    #[arg(long)]
+    anyway: bool,
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
@@ -36,6 +39,7 @@ pub struct Args {
 pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let nominal = super::reading::read_model(&args.model)?;
     let opened = args.read.open()?;
+    refuse_unfit(&opened, &nominal, args.anyway)?;
     let record = readied(&opened);
     say_new(&record.notes, &opened);
     let nominal = holding(&nominal, [&*record]);
@@ -59,8 +63,11 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let after = after.map(|e| e.nrmse());
     if args.json {
         let told = |number: FittedNumber| {
-            let FittedNumber { key, nominal, value, low95, high95 } = number;
-            (key, serde_json::json!({"nominal": nominal, "value": value, "low95": low95, "high95": high95}))
+            let FittedNumber { key, nominal, value, low95, high95, at_limit } = number;
+            let told = serde_json::json!({
+                "nominal": nominal, "value": value, "low95": low95, "high95": high95, "at_limit": at_limit,
+            });
+            (key, told)
         };
         let parameters: serde_json::Map<_, _> = numbers.into_iter().map(told).collect();
         let out = serde_json::json!({

@@ -31,6 +31,7 @@ pub mod fitted;
 pub mod hold;
 pub mod identify;
 pub mod import;
+pub mod parts;
 pub mod reading;
 pub mod recover;
 pub mod replay;

@@ -30,6 +30,8 @@ const SIDEWAYS: f64 = 0.3;
 const FEWEST: usize = 100;
 /// Share of the power that force and speed could have, that a turned sign gives off at least.
 const GIVEN_OFF: f64 = 0.05;
+/// The same where the model has no say, as about the frequencies that it swings at: a drive that comes late is not so far off.
+const PLAINLY: f64 = 0.5;
 
 /// Times that a component's force is what its model says, or less than it by, from which on that is no guess but a unit.
 const FAR: f64 = 150.0;
@@ -192,7 +194,10 @@ fn fault(
         [g, 1.0 / g].into_iter().find(|unit| near(factor.abs(), *unit)).map(Fault::Unit)
     };
     let turned = || {
-        let is_turned = factor(whole)? < 0.0 && power < -GIVEN_OFF * could;
+        let is_turned = match factor(whole) {
+            Some(factor) => factor < 0.0 && power < -GIVEN_OFF * could,
+            None => power < -PLAINLY * could,
+        };
         is_turned.then_some(Fault::Sign)
     };
     of_thousands.or_else(of_gravity).or_else(turned)
@@ -304,6 +309,37 @@ mod tests {
             let table_acceleration_m_s2 = scaled(&base.table_acceleration_m_s2, 1.0 / STANDARD_GRAVITY_M_S2);
             let in_g = Record { table_acceleration_m_s2, ..base.clone() };
             assert_eq!(told(&in_g), Some((Problem::WrongUnit, Some("table_acceleration_m_s2"))));
+        }
+    }
+
+    #[test]
+    fn about_its_resonance_a_mass_that_gives_off_energy_has_a_sign_turned() {
+        let model = oscillator(12.0, 40e3, 60.0);
+        for kind in [Kind::Base, Kind::Force] {
+            let mut specimen = build(&model, 1.0 / RATE_HZ).expect("valid");
+            let mut record = Record::empty("resonant", kind, RATE_HZ);
+            // Steps of a sine from three quarters of its frequency to four thirds.
+            let mut turn = 0.0_f64;
+            for i in 0..20_000 {
+                turn += (0.75 + 0.06 * f64::from(i / 2000)) * (40e3_f64 / 12.0).sqrt() / RATE_HZ;
+                let response = specimen.step(turn.sin());
+                record.time_s.push(f64::from(i) / RATE_HZ);
+                match kind {
+                    Kind::Base => {
+                        record.table_acceleration_m_s2.push(turn.sin());
+                        record.relative_displacement_m.push(response.relative_displacement_m);
+                    }
+                    _ => {
+                        record.force_n.push(-12.0 * turn.sin());
+                        record.displacement_m.push(response.relative_displacement_m);
+                    }
+                }
+            }
+            assert_eq!(examine(&record, &model), Vec::new());
+            record.relative_displacement_m = scaled(&record.relative_displacement_m, -1.0);
+            record.force_n = scaled(&record.force_n, -1.0);
+            let told: Vec<_> = examine(&record, &model).iter().map(|finding| finding.problem).collect();
+            assert_eq!(told, [Problem::WrongSign], "{kind:?}");
         }
     }
 

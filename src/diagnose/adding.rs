@@ -252,7 +252,7 @@ impl Added {
             let left_out = if is_gain { 1.0 } else { f64::NAN };
             let nominal = given.get(&name).copied().unwrap_or(left_out);
             let key = format!("effect[{index}].{name}");
-            self.parameters.push(FittedNumber { key, nominal, value, low95, high95 });
+            self.parameters.push(FittedNumber { key, nominal, value, low95, high95, at_limit: false });
             effect.parameters.insert(name, value);
         }
         self.model.effects.push(effect);
@@ -262,7 +262,7 @@ impl Added {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnose::testing::seen;
+    use crate::diagnose::testing::{seen, seen_briefly};
     use crate::model::testing::{b1_g2, effect};
 
     fn found<'a>(added: &'a Added, key: &str) -> &'a FittedNumber {
@@ -291,7 +291,7 @@ mod tests {
         let mut truth = b1_g2();
         truth.effects.push(effect("quadratic-damping", &[("c2_n_s2_m2", 1500.0)]));
         truth.effects.push(effect("laser-delay", &[("dt_s", 1e-3)]));
-        let record = seen(&truth, 4);
+        let record = seen_briefly(&truth, 4);
         let mut own = effect("expression", &[("c", 300.0)]);
         own.expression = Some("c*v*abs(v)".into());
         let added = add(&record, &b1_g2(), &own, &[]).expect("fits");
@@ -304,7 +304,7 @@ mod tests {
         off.effects.remove(0);
         off.isolator.stiffness_n_m[0] *= 1.04;
         let late = effect("laser-delay", &[("dt_s", 1e-4)]);
-        let late = add(&seen(&off, 5), &b1_g2(), &late, &[]).expect("told");
+        let late = add(&seen_briefly(&off, 5), &b1_g2(), &late, &[]).expect("told");
         assert!((late.model.get("effect[0].dt_s").expect("there") - 1e-3).abs() < 2e-5, "{late:?}");
         let stiffness = found(&late, "isolator.stiffness_n_m[0]");
         assert!(
@@ -320,7 +320,7 @@ mod tests {
         assert!(matches!(gain, Err(AddError::Sound { .. })), "{gain:?}");
         // The gain of the second accelerometer, and of both.
         for gains in [[1.0, 1.06], [1.05, 1.05]] {
-            let mut scaled = seen(&b1_g2(), 6);
+            let mut scaled = seen_briefly(&b1_g2(), 6);
             scaled.mass_acceleration_1_m_s2.iter_mut().for_each(|a| *a *= gains[0]);
             scaled.mass_acceleration_2_m_s2.iter_mut().for_each(|a| *a *= gains[1]);
             let told = add(&scaled, &b1_g2(), &effect("accelerometer-gain", &[("gain", 1.01)]), &[]);

@@ -212,7 +212,7 @@ pub(super) fn tells_otherwise(measured: &Measured<'_>, trial: &Trial) -> bool {
 mod tests {
     use super::*;
     use crate::diagnose::search::Effort;
-    use crate::diagnose::testing::{seen, with};
+    use crate::diagnose::testing::{seen, seen_briefly, with};
     use crate::identify::kinematics::Tolerances;
     use crate::identify::motion::Motion;
     use crate::model::testing::{b1_g2, effect};
@@ -221,7 +221,7 @@ mod tests {
     fn a_better_place_of_a_model_is_taken_whatever_its_freedom_is_worth_there() {
         let mut truth = b1_g2();
         truth.effects.push(effect("maxwell-branch", &[("km_n_m", 1500.0), ("tau_s", 0.08)]));
-        let motion = Motion::of(&seen(&truth, 38), 500.0, Tolerances::default()).expect("a motion");
+        let motion = Motion::of(&seen_briefly(&truth, 38), 500.0, Tolerances::default()).expect("a motion");
         let searcher = Searcher::new(&motion, &b1_g2(), Effort::default());
         let base = searcher.base(&b1_g2()).expect("fits");
         let start = effect("maxwell-branch", &[("km_n_m", 500.0), ("tau_s", 0.03)]);

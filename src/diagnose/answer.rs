@@ -202,7 +202,6 @@ impl Composer<'_> {
     }
 
     fn next_test(&self, search: &Search, decision: &Decision) -> Option<next_test::NextTest> {
-        let reach = self.reach()?;
         let stage =
             search.stages.iter().rfind(|s| s.finalists.iter().any(|t| t.names == decision.chosen.names));
         let chosen = &decision.chosen;
@@ -216,6 +215,9 @@ impl Composer<'_> {
         let rival = rival?;
         let first = (verdict::own_name(chosen, rival), own(rival));
         let enough = self.options.thresholds.tie;
+        let Some(reach) = self.reach() else {
+            return Some(next_test::elsewhere(&first.0, &first.1, self.motion.kind));
+        };
         next_test::propose((&first.0, &chosen.refit), (&first.1, &rival.refit), &reach, enough)
     }
 

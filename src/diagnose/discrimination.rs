@@ -18,7 +18,7 @@ const SETTLING: u32 = 5;
 const STEADY: u32 = 2;
 /// Cycles of a step that are not counted while it settles; samples of a test beyond which no more are counted.
 const LOST: f64 = 2.0;
-const COUNTED: f64 = 120_000.0;
+const COUNTED: f64 = 300_000.0;
 /// Share of the displacement sensor's noise that is slow, and its memory, s: at low frequencies it is most of the noise.
 const SLOW: f64 = 0.2;
 const MEMORY_S: f64 = 5.0;

@@ -85,7 +85,7 @@ pub fn diagnose_together(
     let begun = Instant::now();
     let records: Vec<_> = tests.iter().map(|(record, _)| mended(record)).collect();
     // As they were recorded: at the rate of its band a channel that is cut off is smooth.
-    let said = records.iter().zip(tests).map(|(record, (_, model))| of_record(record, model, options.anyway));
+    let said = records.iter().zip(tests).map(|(record, (_, model))| fitness(record, model, options.anyway));
     let said = said.collect::<Result<Vec<_>, _>>()?.concat();
     let records: Vec<_> = records.into_iter().map(in_its_band).collect();
     let all = || records.iter().map(|record| &**record);
@@ -230,8 +230,7 @@ fn of_motion(
     }
     let search = searcher.search_from(base, first, options.thresholds);
     let decision = verdict::decide(&search, &searcher, options.thresholds);
-    let decision = searcher.exchanged(decision, &search.base, options.thresholds);
-    let decision = searcher.leaner(decision, &search.base, options.thresholds);
+    let decision = searcher.reconsidered(decision, &search.base, options.thresholds);
     let mut decision = searcher.by_law(&search, decision, options.thresholds);
     parts::done("verdict and laws");
     if let Some(lagging) = lagging.filter(|lagging| lagging.is_rather_than(&decision.chosen)) {
@@ -253,7 +252,9 @@ fn of_motion(
     if let Some((without, said)) = hum(&decision.chosen) {
         return of_motion((tests, nominal), options, without, (findings, [notes, said].concat()), less);
     }
+    // With less noise what stays unexplained only stands out more.
     if again.noise > 0
+        && decision.verdict != Verdict::OutsideCatalogue
         && let Some(quieter) = searcher.quieter(&decision.chosen)
     {
         return of_motion((tests, nominal), options, quieter, (findings, notes), less);
@@ -277,8 +278,12 @@ fn of_motion(
     Ok(prompt.filter(|prompt| prompt.error_after < found.error_after).unwrap_or(found))
 }
 
-/// What is to be said of a record; refuses one that is not fit before any physics is blamed, unless it is to be used anyway.
-fn of_record(record: &Record, model: &ModelSpec, anyway: bool) -> Result<Vec<String>, DiagnoseError> {
+/// What is to be said of a record as it was recorded, its faults mended; refuses one that is not fit before any physics is blamed, unless
+/// it is to be used anyway.
+///
+/// # Errors
+/// [`DiagnoseError::Unfit`] with what is wrong.
+pub fn fitness(record: &Record, model: &ModelSpec, anyway: bool) -> Result<Vec<String>, DiagnoseError> {
     let text = |finding: crate::record::quality::Finding| finding.text;
     let (errors, rest): (Vec<_>, Vec<_>) = quality(record, model)
         .into_iter()

@@ -3,13 +3,14 @@
 //! is "outside the catalogue", and the law is its draft. Where a response is simulated, shapes of force do so.
 
 use super::at_last::bound;
+use super::candidates;
 use super::missing_force::Draft;
 use super::search::{Search, Searcher, Stage};
 use super::thresholds::Thresholds;
 use super::trial::Trial;
 use super::verdict::{self, Decision, Refused, Verdict};
-use crate::identify::refit::Refit;
-use crate::model::{EffectSpec, ModelSpec, Scales};
+use crate::model::effects::expression;
+use crate::model::{EffectSpec, Scales};
 use crate::record::Kind;
 
 /// A law with its own numbers.
@@ -63,10 +64,10 @@ const LAWS: [Law; 5] = [
 
 /// Velocity over which friction turns round, over the typical one: less than shows.
 const TURNING: f64 = 1e-3;
+/// Share of the base model's excess that a law leaves at most: one that leaves more is no draft of what is missing.
+const MOST_LEFT: f64 = 0.5;
 /// How strong a law is at first, over the typical force.
 const STRENGTH: f64 = 0.3;
-/// What a trial is called that has a law in it.
-const NAME: &str = "expression";
 
 impl Searcher<'_> {
     /// What was decided, or that a law explains it rather.
@@ -77,7 +78,8 @@ impl Searcher<'_> {
         let with = search.law.clone().or_else(|| self.lawful(&search.base));
         let Some(with) = with else { return decision };
         let (taken, ahead) = (&decision.chosen, verdict::apart(&with, &decision.chosen));
-        if verdict::gain(&with, taken) <= 0.0 || ahead < thresholds.of_shape_instead(taken) {
+        let explains = with.share_left(&search.base) < MOST_LEFT;
+        if !explains || verdict::gain(&with, taken) <= 0.0 || ahead < thresholds.of_shape_instead(taken) {
             return decision;
         }
         let mut refused = decision.refused;
@@ -110,7 +112,7 @@ impl Searcher<'_> {
 
     /// The base model with the law beside it that explains most.
     fn lawful(&self, base: &Trial) -> Option<Trial> {
-        let scales = super::candidates::scales(&base.refit.spec, self.motion);
+        let scales = candidates::scales(&base.refit.spec, self.motion);
         let starts: Vec<Trial> = LAWS.iter().flat_map(|law| law.starts(base, &scales)).collect();
         self.likeliest_by_force(&starts)
     }
@@ -122,7 +124,7 @@ impl Law {
         let (velocity_m_s, displacement_m) = (scales.velocity_m_s, scales.displacement_m);
         let chosen = [("dm_m", displacement_m), ("vm_m_s", velocity_m_s), ("vt_m_s", TURNING * velocity_m_s)];
         let mut starts = vec![EffectSpec {
-            name: NAME.into(),
+            name: expression::EFFECT.name.into(),
             expression: Some(self.expression.into()),
             parameters: chosen
                 .into_iter()
@@ -145,27 +147,25 @@ impl Law {
 
     /// The base model with the law beside it, the law's numbers within their limits.
     fn beside(&self, base: &Trial, start: &EffectSpec, scales: &Scales) -> Trial {
-        let Refit { spec, numbers, .. } = &base.refit;
-        let (mut spec, mut numbers): (ModelSpec, _) = (spec.clone(), numbers.clone());
-        spec.effects.push(start.clone());
-        let index = spec.effects.len() - 1;
-        numbers.start_from(&spec);
-        numbers.add_effect(&spec, index, scales);
-        let prefix = format!("effect[{index}].");
-        let fitted = |name: &str| name == "f_n" || self.numbers.iter().any(|own| own.name == name);
-        numbers.retain(|key| key.strip_prefix(&prefix).is_none_or(fitted));
-        let mut refit = Refit { spec, numbers, ..base.refit.clone() };
+        let fitted: Vec<&str> = self.numbers.iter().map(|own| own.name).chain(["f_n"]).collect();
+        let mut with = base.with_expression(candidates::beside(&base.refit.spec, start), &fitted, scales);
+        let index = with.refit.spec.effects.len() - 1;
         for Own { name, over, limits: [low, high], .. } in self.numbers {
-            bound(&mut refit, &format!("{prefix}{name}"), (low * over(scales), high * over(scales)));
+            let limits = (low * over(scales), high * over(scales));
+            bound(&mut with.refit, &format!("effect[{index}].{name}"), limits);
         }
-        let names = base.names.iter().cloned().chain([NAME.to_owned()]).collect();
-        Trial { names, refit, ..base.clone() }
+        with
     }
 }
 
 /// The law that a trial has in it, as a draft; none where it has none.
 pub fn draft(trial: &Trial, base: &Trial) -> Option<Draft> {
-    let last = trial.refit.spec.effects.last().filter(|_| trial.names.last().is_some_and(|n| n == NAME))?;
+    let last = trial
+        .refit
+        .spec
+        .effects
+        .last()
+        .filter(|_| trial.names.last().is_some_and(|n| n == expression::EFFECT.name))?;
     Some(Draft {
         expression: last.expression.clone()?,
         parameters: last.parameters.clone(),
@@ -176,8 +176,9 @@ pub fn draft(trial: &Trial, base: &Trial) -> Option<Draft> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnose::testing::imposed;
-    use crate::diagnose::{Diagnosis, Options, diagnose};
+    use crate::diagnose::testing::{among, imposed};
+    use crate::diagnose::{Diagnosis, diagnose};
+    use crate::model::ModelSpec;
     use crate::model::testing::{b1_g2, effect};
 
     /// What is said of a component without bumpers that has such effects.
@@ -186,7 +187,14 @@ mod tests {
         let mut truth = nominal.clone();
         truth.isolator.damping_n_s_m *= 0.9;
         truth.effects = effects;
-        diagnose(&imposed(&truth, 61), &nominal, &Options::default()).expect("a sound record")
+        let options = among(&[
+            "coulomb-friction",
+            "stribeck-friction",
+            "quadratic-damping",
+            "cubic-stiffness",
+            "maxwell-branch",
+        ]);
+        diagnose(&imposed(&truth, 61), &nominal, &options).expect("a sound record")
     }
 
     #[test]

@@ -35,6 +35,6 @@ pub mod trial;
 pub mod verdict;
 pub mod whole;
 
-pub use engine::{DiagnoseError, Options, diagnose, diagnose_together};
+pub use engine::{DiagnoseError, Options, diagnose, diagnose_together, fitness};
 pub use report::Diagnosis;
 pub use verdict::Verdict;

@@ -6,6 +6,7 @@ use crate::identify::refit::Refit;
 use crate::identify::together::Setting;
 use crate::model::ModelSpec;
 use crate::parallel;
+use crate::record::Kind;
 use crate::sweep::SweepSpec;
 use crate::units::STANDARD_GRAVITY_M_S2;
 use serde::{Deserialize, Serialize};
@@ -119,6 +120,12 @@ const LOOKED_AT: usize = 24;
 /// So many of the best of those are, not to first order alone.
 const FITTED: usize = 8;
 
+/// Counted cycles of a step; and those of a longer test, where fewer are not expected to bring so many times the nats that decide: the look
+/// ahead is an upper estimate.
+const CYCLES: u32 = 10;
+const MORE_CYCLES: [u32; 2] = [20, 40];
+const SURELY: f64 = 5.0;
+
 /// What else parts a stand from a softer bumper.
 const STAND: &str = "; an accelerometer on the stand tells, too: a softer bumper does not move its stand";
 
@@ -143,6 +150,28 @@ fn known(a: &str, b: &str) -> Option<(&'static str, &'static str)> {
     } else {
         return None;
     })
+}
+
+/// What to do on another rig, whose reach is not known: what is alike at one speed and amplitude is not at others.
+pub fn elsewhere(first: &str, second: &str, kind: Kind) -> NextTest {
+    let title = match kind {
+        Kind::Component => {
+            "impose a third and three times the velocity, at half the amplitude and at all of it"
+        }
+        Kind::Base | Kind::Force => {
+            "drive it at a third and at three times the level, over the same frequencies"
+        }
+    };
+    NextTest {
+        title: title.to_owned(),
+        reason: format!(
+            "{first} and {second} do alike in this motion, and not in any: give the new record along with this one \
+             (`diagnose THIS NEW --model MODEL`)"
+        ),
+        expected_discrimination: 0.0,
+        expected_nats: 0.0,
+        sweep: None,
+    }
 }
 
 /// Proposes the test that best parts the fitted rivals.
@@ -180,7 +209,15 @@ pub fn propose(
     let differing = alone(best(tests, LOOKED_AT, &far));
     let promising = alone(best(differing, FITTED, &at_a_glance));
     let found = best(promising, 1, &fitted);
-    let (Expected { difference, nats }, sweep) = found.into_iter().next()?;
+    let (mut expected, mut sweep) = found.into_iter().next()?;
+    for cycles in MORE_CYCLES {
+        let longer = SweepProposal { cycles, ..sweep.clone() };
+        let of_longer = if expected.nats < SURELY * enough { fitted(&longer) } else { None };
+        if let Some(more) = of_longer.filter(|more| more.nats > expected.nats) {
+            (expected, sweep) = (more, longer);
+        }
+    }
+    let Expected { difference, nats } = expected;
     let stand = if [first.0, second.0].contains(&"stand-compliance") { STAND } else { "" };
     Some(NextTest {
         title: describe(&sweep),
@@ -203,7 +240,8 @@ fn describe(p: &SweepProposal) -> String {
         (false, Some(gap)) => format!(", total gap {:.0} mm", 1e3 * gap),
         _ => String::new(),
     };
-    format!("sweep {:.2}-{:.2} Hz at {:.3} g{bumpers}", p.start_hz, p.stop_hz, p.acceleration_g)
+    let longer = if p.cycles == CYCLES { String::new() } else { format!(", {} cycles a step", p.cycles) };
+    format!("sweep {:.2}-{:.2} Hz at {:.3} g{bumpers}{longer}", p.start_hz, p.stop_hz, p.acceleration_g)
 }
 
 /// Lower and higher A_G, wider frequencies, other gaps and no bumpers, all within capacity.
@@ -228,7 +266,7 @@ pub fn possible(spec: &ModelSpec, reach: &Reach) -> Vec<SweepProposal> {
                     start_hz: start,
                     stop_hz: stop,
                     step_hz: (stop - start) / 8.0,
-                    cycles: 10,
+                    cycles: CYCLES,
                     acceleration_g: a / STANDARD_GRAVITY_M_S2,
                     without_bumpers,
                     total_gap_m,

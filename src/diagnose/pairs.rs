@@ -87,9 +87,19 @@ impl Searcher<'_> {
         (verdict::apart(pair, &alone) < MERGED).then_some(alone)
     }
 
+    /// What was decided of a component with its explanation exchanged where another does better, and as lean as it can be.
+    pub(super) fn reconsidered(&self, decision: Decision, base: &Trial, thresholds: Thresholds) -> Decision {
+        let before = decision.chosen.names.clone();
+        let decision = self.leaner(self.exchanged(decision, base, thresholds), base, thresholds);
+        if decision.chosen.names == before {
+            return decision;
+        }
+        verdict::judged_anew(decision, base, self, thresholds)
+    }
+
     /// What was decided of a component without the effects that the rest does as well without, and with Coulomb's friction for a Stribeck's
     /// that does no better: what an effect was found for, a later one may have taken over.
-    pub(super) fn leaner(&self, mut decision: Decision, base: &Trial, thresholds: Thresholds) -> Decision {
+    fn leaner(&self, mut decision: Decision, base: &Trial, thresholds: Thresholds) -> Decision {
         while self.motion.kind == Kind::Component
             && let Some((which, lean, ahead)) = self.leaner_by_one(&decision.chosen, base, thresholds)
         {
@@ -106,7 +116,7 @@ impl Searcher<'_> {
 
     /// A decision on a component that leaves more than noise with what does much the same in the place of one of its effects, a second
     /// relaxation beside the first for a springpot, where that explains more: each was found beside what was still missing.
-    pub(super) fn exchanged(&self, mut decision: Decision, base: &Trial, thresholds: Thresholds) -> Decision {
+    fn exchanged(&self, mut decision: Decision, base: &Trial, thresholds: Thresholds) -> Decision {
         for _ in 0..decision.chosen.names.len() {
             let chosen = &decision.chosen;
             if self.motion.kind != Kind::Component || verdict::leaves_noise(self, chosen, thresholds) {

@@ -117,7 +117,19 @@ pub struct Diagnosis {
     pub wall_s: f64,
 }
 
+/// Error over the noise floor from which on something is left that numbers make up for.
+const LEFT: f64 = 1.2;
+
 impl Diagnosis {
+    /// What the re-identified numbers are called: those of a model that lacks something make up for it, and no interval holds then.
+    pub fn numbers_title(&self) -> &'static str {
+        if self.verdict == Verdict::OutsideCatalogue && self.error_after > LEFT * self.noise_floor {
+            "Re-identified numbers (they make up for what is missing: no interval holds before the model has that)"
+        } else {
+            "Re-identified numbers"
+        }
+    }
+
     /// The verdict in one line.
     pub fn sentence(&self) -> String {
         let names = self.effects.iter().map(|e| e.name.as_str()).collect::<Vec<_>>().join(", ");
@@ -167,15 +179,16 @@ impl Diagnosis {
             }
         }
         if !self.reidentified.is_empty() {
-            line("Re-identified numbers:".to_owned());
+            line(format!("{}:", self.numbers_title()));
             for r in &self.reidentified {
                 line(format!(
-                    "  {:<28} {:>12} -> {:>12} (95 %: {} to {})",
+                    "  {:<28} {:>12} -> {:>12} (95 %: {} to {}{})",
                     r.key,
                     Short(r.nominal),
                     Short(r.value),
                     Short(r.low95),
-                    Short(r.high95)
+                    Short(r.high95),
+                    r.remark()
                 ));
             }
         }

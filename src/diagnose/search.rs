@@ -351,8 +351,13 @@ impl<'a> Searcher<'a> {
             }
             self.merge(&mut stage, &mut search);
             let mut gained = brings(&stage);
-            // What a law explains needs no second effect.
-            let lawful = depth == 0 && component && self.is_lawful(&mut search, &stage, thresholds);
+            // What a law explains, or a shape, needs no second effect.
+            let lawful = depth == 0
+                && if component {
+                    self.is_lawful(&mut search, &stage, thresholds)
+                } else {
+                    self.is_shaped(&search.base, &stage, thresholds)
+                };
             // What two bring together neither may bring alone: play where the force has an offset.
             if component
                 && !(gained || lawful)
@@ -363,7 +368,7 @@ impl<'a> Searcher<'a> {
                 best_first(&mut stage.finalists, &from);
                 gained = brings(&stage);
             }
-            if gained {
+            if gained && !lawful {
                 self.exchange_first(&mut stage, &search.base);
                 if let Some(measured) = &self.measured {
                     stage.finalists.extend(self.twins(measured, &stage.finalists, &search.base));
@@ -371,7 +376,7 @@ impl<'a> Searcher<'a> {
                 }
             }
             parts::done("other first effects");
-            if gained {
+            if gained && !lawful {
                 self.told_by_all_steps(&mut stage.finalists, &from);
             }
             parts::done("rivals by all steps");

@@ -5,13 +5,14 @@
 
 use super::by_response::to_first_order;
 use super::likeness::Likeness;
-use super::search::Searcher;
+use super::search::{Searcher, Stage};
 use super::thresholds::Thresholds;
 use super::trial::{self, Response, Trial};
 use super::{candidates, verdict};
 use crate::identify::least_squares::Settings;
 use crate::identify::problem::Part;
 use crate::identify::response::{self, Laid, PROMISED};
+use crate::model::effects::expression;
 use crate::model::{EffectSpec, ModelSpec, Scales};
 
 /// The shape of a force that would bring most.
@@ -53,14 +54,15 @@ const LONG: Settings = Settings { iterations: 6, ..SHORT };
 /// Typical change of its amplitude, over the one that first order has.
 const TYPICAL: f64 = 3.0;
 
-/// Even and odd powers of displacement and velocity and their products, waves over displacement, forces of one side, friction in
-/// places, slow changes, and forces over a bumper's penetration.
-const SHAPES: [&str; 24] = [
+/// Even and odd powers of displacement and velocity, a root of the velocity, and their products, waves over displacement, forces of one
+/// side, friction in places, slow changes, and forces over a bumper's penetration.
+const SHAPES: [&str; 25] = [
     "f*(d/dm)^2",
     "f*(d/dm)*abs(d/dm)",
     "f*(d/dm)^5",
     "f*(v/vm)^2",
     "f*(v/vm)^3",
+    "f*(v/vm)/sqrt(0.01+abs(v/vm))",
     "f*abs(d/dm)*(v/vm)",
     "f*(d/dm)^2*(v/vm)",
     "f*(d/dm)*(v/vm)",
@@ -91,7 +93,24 @@ impl Searcher<'_> {
             nats => nats,
         });
         let instead = if taken.names.is_empty() { None } else { self.shape_instead(base, taken, thresholds) };
-        Shaped { beside, instead: instead.unwrap_or(f64::NEG_INFINITY) }
+        Shaped { beside, instead: instead.map_or(f64::NEG_INFINITY, |(_, ahead)| ahead) }
+    }
+
+    /// Whether a shape leaves nothing of a record but noise, which no first effect does, and is ahead of each of those as one has to be that
+    /// stands in their place: what pairs would make of such a force takes minutes and is refused for the shape.
+    pub(super) fn is_shaped(&self, base: &Trial, first: &Stage, thresholds: Thresholds) -> bool {
+        let leaves_nothing = |trial: &Trial| trial.response.is_some() && trial.excess() <= trial.chance();
+        let best = first.finalists.iter().fold(base, verdict::better);
+        if best.names.is_empty() || leaves_nothing(best) {
+            return false;
+        }
+        let instead = self.shape_instead(base, best, thresholds);
+        instead.is_some_and(|(shaped, ahead)| {
+            let times = self.over_noise(&shaped);
+            ahead > thresholds.of_shape_instead(best)
+                && leaves_nothing(&shaped)
+                && times.is_some_and(|times| times <= thresholds.most_over_noise(self.motion))
+        })
     }
 
     /// What a shape beside a trial brings to the steps of the fit when it is fitted, nothing where those held out speak against it.
@@ -136,9 +155,9 @@ impl Searcher<'_> {
         told.into_iter().filter_map(shape).max_by(|a, b| a.nats.total_cmp(&b.nats))
     }
 
-    /// How much better a shape does on the base model than the effects that were taken: the one that brings most there to first
-    /// order, or the one most like what they do together.
-    fn shape_instead(&self, base: &Trial, taken: &Trial, thresholds: Thresholds) -> Option<f64> {
+    /// The shape on the base model that does best, and how much better than the effects that were taken: the one that brings most there
+    /// to first order, or the one most like what they do together.
+    fn shape_instead(&self, base: &Trial, taken: &Trial, thresholds: Thresholds) -> Option<(Trial, f64)> {
         let several = taken.names.len() >= SEVERAL;
         let most = self.shape_left(base, thresholds);
         let most = most.filter(|shape| several || shape.nats >= WORTH * taken.training_gain(base));
@@ -147,22 +166,24 @@ impl Searcher<'_> {
         let like = like.filter(|like| most.as_ref().is_none_or(|most| most.0 != like.0));
         let ahead = |(expression, with): (String, ModelSpec)| {
             let doubt = doubt(&expression, taken.response.as_ref()?, thresholds);
-            Some(self.ahead(base, taken, with)? - doubt)
+            let fitted = self.fitted_instead(base, taken, with)?;
+            let ahead = verdict::apart(&fitted, taken) - doubt;
+            Some((fitted, ahead))
         };
-        [most, like].into_iter().flatten().filter_map(ahead).max_by(f64::total_cmp)
+        [most, like].into_iter().flatten().filter_map(ahead).max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// How much better a shape beside the base model is than what was taken, once it is fitted.
-    fn ahead(&self, base: &Trial, taken: &Trial, with: ModelSpec) -> Option<f64> {
+    /// A shape beside the base model, fitted for as long as it may come to be better than what was taken.
+    fn fitted_instead(&self, base: &Trial, taken: &Trial, with: ModelSpec) -> Option<Trial> {
         let measured = self.measured.as_ref()?;
         let fitted = trial::respond(measured, &self.with_shape(base, with), None, SHORT)?;
         let ahead = verdict::apart(&fitted, taken);
         let laid = fitted.response.as_ref().map(|response| &response.training);
         let promised = 0.5 * laid.map_or(0.0, Laid::promised);
         if ahead + PROMISED * promised < 0.0 {
-            return Some(ahead);
+            return Some(fitted);
         }
-        Some(verdict::apart(&trial::respond(measured, &fitted, laid, LONG)?, taken))
+        trial::respond(measured, &fitted, laid, LONG)
     }
 
     /// The shape most like what the effects of a trial do together; none where no shape is much like it.
@@ -176,18 +197,12 @@ impl Searcher<'_> {
 
     /// A trial with a shape beside it, whose amplitude is to be fitted along with the trial's own numbers.
     fn with_shape(&self, from: &Trial, spec: ModelSpec) -> Trial {
-        let mut refit = from.refit.clone();
-        refit.numbers.add_effect(&spec, spec.effects.len() - 1, &candidates::scales(&spec, self.motion));
-        let amplitude = format!("effect[{}].f", spec.effects.len() - 1);
-        let kept = |key: &str| key == amplitude || from.refit.numbers.numbers.iter().any(|n| n.key == key);
-        refit.numbers.retain(kept);
+        let mut with = from.with_expression(spec.clone(), &["f"], &candidates::scales(&spec, self.motion));
         // Differences of a faint amplitude are to be above the solver's errors.
-        if let Some(free) = refit.numbers.free.last_mut() {
+        if let Some(free) = with.refit.numbers.free.last_mut() {
             free.scale = TYPICAL * free.start.abs();
         }
-        refit.spec = spec;
-        let names = from.names.iter().cloned().chain(["expression".to_owned()]).collect();
-        Trial { names, refit, ..from.clone() }
+        with
     }
 }
 
@@ -224,7 +239,7 @@ fn faint(expression: &'static str, scales: &Scales) -> EffectSpec {
     let of_bumper = scales.penetration_m.map(|penetration_m| ("pm", penetration_m));
     let used = all.into_iter().chain(of_bumper).filter(|(name, _)| expression.contains(name));
     EffectSpec {
-        name: "expression".into(),
+        name: expression::EFFECT.name.into(),
         expression: Some(expression.into()),
         parameters: used.map(|(name, value)| (name.to_owned(), value)).collect(),
     }
@@ -273,7 +288,7 @@ mod tests {
             let (like, _) = searcher.shape_like(&base, &taken).expect("much like it");
             assert_eq!(like, "f*(v/vm)^3");
             let thresholds = Thresholds::default();
-            let instead = searcher.shape_instead(&base, &taken, thresholds).expect("fits");
+            let (_, instead) = searcher.shape_instead(&base, &taken, thresholds).expect("fits");
             assert_eq!(instead > thresholds.of_shape_instead(&taken), stand_in, "{instead}");
         }
     }

@@ -327,7 +327,7 @@ mod tests {
     use crate::diagnose::adding::add;
     use crate::diagnose::report::NamedEffect;
     use crate::diagnose::search::Effort;
-    use crate::diagnose::testing::{imposed, seen, with};
+    use crate::diagnose::testing::{among, imposed, seen, with};
     use crate::diagnose::{Options, Verdict, diagnose};
     use crate::identify::kinematics::Tolerances;
     use crate::identify::motion::Motion;
@@ -365,7 +365,8 @@ mod tests {
         truth.effects.push(effect("coulomb-friction", &[("fc_n", 12.0), (TURNING, 1e-3)]));
         let mut record = seen(&truth, 31);
         record.table_displacement_m.clear();
-        let found = diagnose(&record, &b1_g2(), &Options::default()).expect("a sound record");
+        let options = among(&["coulomb-friction", "stribeck-friction", "quadratic-damping"]);
+        let found = diagnose(&record, &b1_g2(), &options).expect("a sound record");
         let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
         assert_eq!((found.verdict, names), (Verdict::Missing, vec!["coulomb-friction"]));
         let told = &found.effects[0].parameters;
@@ -425,7 +426,8 @@ mod tests {
         truth.effects.push(effect("bouc-wen-hysteresis", &shape));
         let mut record = seen(&truth, 33);
         record.table_displacement_m.clear();
-        let found = diagnose(&record, &b1_g2(), &Options::default()).expect("a sound record");
+        let options = among(&["bouc-wen-hysteresis", "coulomb-friction"]);
+        let found = diagnose(&record, &b1_g2(), &options).expect("a sound record");
         let names: Vec<&str> = found.effects.iter().map(|e| e.name.as_str()).collect();
         assert_eq!(names, ["bouc-wen-hysteresis"]);
         let told = &found.effects[0].parameters;

@@ -1,10 +1,12 @@
 //! Records for tests of fits and diagnosis: a coarse sweep as the instruments of the rig would show it; and models fitted to them.
 
 use super::candidates;
+use super::engine;
 use super::search::Searcher;
 use super::trial::{self, Trial};
 use crate::identify::least_squares::Settings;
 use crate::identify::refit::Refit;
+use crate::model::effects::CATALOGUE;
 use crate::model::{EffectSpec, ModelSpec, Observer, Options, simulate_sweep};
 use crate::record::{Kind, Record};
 use crate::sweep::{Schedule, SweepSpec, Transition};
@@ -16,6 +18,13 @@ const DT: f64 = 1.0 / 2048.0;
 pub fn seen(spec: &ModelSpec, seed: u64) -> Record {
     let mut sweep = SweepSpec { transition: Transition::None, ..SweepSpec::paper() };
     (sweep.start_hz, sweep.stop_hz, sweep.step_hz, sweep.cycles) = (Some(0.5), Some(2.3), Some(0.3), 10);
+    seen_over(spec, &sweep, seed)
+}
+
+/// The same of fewer steps, where a few tell what is asked.
+pub fn seen_briefly(spec: &ModelSpec, seed: u64) -> Record {
+    let mut sweep = SweepSpec { transition: Transition::None, ..SweepSpec::paper() };
+    (sweep.start_hz, sweep.stop_hz, sweep.step_hz, sweep.cycles) = (Some(0.7), Some(2.3), Some(0.4), 8);
     seen_over(spec, &sweep, seed)
 }
 
@@ -65,6 +74,12 @@ pub fn imposed(spec: &ModelSpec, seed: u64) -> Record {
         }
     }
     record
+}
+
+/// A diagnosis that tries such effects alone.
+pub fn among(names: &[&str]) -> engine::Options {
+    let without = CATALOGUE.iter().map(|effect| effect.name).filter(|name| !names.contains(name)).collect();
+    engine::Options { without, ..engine::Options::default() }
 }
 
 /// A fitted model with effects more, fitted by the response.

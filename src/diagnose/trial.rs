@@ -7,6 +7,7 @@ use crate::identify::numbers::Numbers;
 use crate::identify::problem::{Part, Problem};
 use crate::identify::refit::{Domain, Refit, inflation, refit};
 use crate::identify::response::{Laid, Left, Measured, Until};
+use crate::model::effects::expression;
 use crate::model::{EffectSpec, ModelSpec, Scales};
 use crate::record::Kind;
 
@@ -256,6 +257,18 @@ impl Trial {
             (Some(with), Some(of)) => force.min(share(with, of)),
             _ => force,
         }
+    }
+
+    /// The trial on a model that has an expression more at its end, of whose numbers these are to be fitted along with the trial's own.
+    pub fn with_expression(&self, spec: ModelSpec, fitted: &[&str], scales: &Scales) -> Self {
+        let mut with = self.clone();
+        with.names.push(expression::EFFECT.name.to_owned());
+        let index = spec.effects.len() - 1;
+        let own = format!("effect[{index}].");
+        with.refit.numbers.add_effect(&spec, index, scales);
+        with.refit.numbers.retain(|key| key.strip_prefix(&own).is_none_or(|name| fitted.contains(&name)));
+        with.refit.spec = spec;
+        with
     }
 
     /// Structure that is left, in units of the noise.

@@ -150,36 +150,72 @@ pub fn decide(search: &Search, searcher: &Searcher<'_>, thresholds: Thresholds) 
         taken = chosen;
         ambiguous_with = rivals;
     }
-    let excess = taken.excess();
+    let (left, of_base) = what_is_left(&taken, base, searcher);
+    let verdict = if taken.response.is_some() {
+        by_response(&taken, base, searcher, &ambiguous_with, thresholds)
+    } else {
+        by_force(&taken, (left, of_base), searcher, &ambiguous_with, thresholds)
+    };
+    Decision { verdict, chosen: taken, ambiguous_with, probabilities, refused, left }
+}
+
+/// A decision by the force along the motion whose explanation is another one by now, judged anew.
+pub fn judged_anew(
+    mut decision: Decision,
+    base: &Trial,
+    searcher: &Searcher<'_>,
+    thresholds: Thresholds,
+) -> Decision {
+    let (left, of_base) = what_is_left(&decision.chosen, base, searcher);
+    decision.left = left;
+    decision.verdict =
+        by_force(&decision.chosen, (left, of_base), searcher, &decision.ambiguous_with, thresholds);
+    decision
+}
+
+/// Share of the base model's excess that is left, and what a flexible model sees of that excess, in units of the noise.
+fn what_is_left(taken: &Trial, base: &Trial, searcher: &Searcher<'_>) -> (f64, f64) {
     let explained =
         |trial: &&Trial| structure::examine(searcher.problem(), &trial.refit).unwrap_or_default().explained;
-    let examined = if taken.names.is_empty() { vec![base] } else { vec![base, &taken] };
+    let examined = if taken.names.is_empty() { vec![base] } else { vec![base, taken] };
     let explained = parallel::map(&examined, parallel::cores(), explained);
     let of_base = explained.first().copied().unwrap_or_default();
     // Where the flexible model sees most of what the base lacks, what it still sees is what is left. Where it does not,
     // the covariance of neighbouring residuals has to do.
     let of_taken = explained.get(1).filter(|_| of_base > 0.5 * base.force.excess);
     let share = taken.share_left(base);
-    let left = of_taken.map_or(share, |of_taken| share.min(of_taken / of_base.max(1e-300)));
-    let verdict = if taken.response.is_some() {
-        by_response(&taken, base, searcher, &ambiguous_with, thresholds)
-    } else if taken.names.is_empty() {
+    (of_taken.map_or(share, |of_taken| share.min(of_taken / of_base.max(1e-300))), of_base)
+}
+
+/// The verdict where the force along the measured motion decides; what is left is something only where the error is more than noise
+/// makes of it.
+fn by_force(
+    taken: &Trial,
+    (left, of_base): (f64, f64),
+    searcher: &Searcher<'_>,
+    ambiguous_with: &[String],
+    thresholds: Thresholds,
+) -> Verdict {
+    let excess = taken.excess();
+    let is_structured = if taken.names.is_empty() {
         // Nothing in the catalogue helps; is anything left at all?
-        let structured = of_base > STRUCTURED * excess || excess > UNMISTAKABLE;
-        let stands_out = || {
-            let error = searcher.held_out_error(&taken);
-            error.is_none_or(|error| error.nrmse() > LEAST_OVER_NOISE * error.noise_floor(searcher.motion))
-        };
-        let is_left = excess > thresholds.excess && structured && stands_out();
-        if is_left { Verdict::OutsideCatalogue } else { Verdict::Adequate }
-    } else if left > thresholds.left && excess > thresholds.excess {
+        of_base > STRUCTURED * excess || excess > UNMISTAKABLE
+    } else {
+        left > thresholds.left
+    };
+    let stands_out = || {
+        let error = searcher.held_out_error(taken);
+        error.is_none_or(|error| error.nrmse() > LEAST_OVER_NOISE * error.noise_floor(searcher.motion))
+    };
+    if excess > thresholds.excess && is_structured && stands_out() {
         Verdict::OutsideCatalogue
+    } else if taken.names.is_empty() {
+        Verdict::Adequate
     } else if ambiguous_with.is_empty() {
         Verdict::Missing
     } else {
         Verdict::Ambiguous
-    };
-    Decision { verdict, chosen: taken, ambiguous_with, probabilities, refused, left }
+    }
 }
 
 /// The verdict where the simulated response decides.
@@ -379,8 +415,8 @@ pub fn is_there(trial: &Trial) -> bool {
 }
 
 /// Probability of each effect of what was chosen among the rivals that differ in that effect alone, and that it is none of them.
-/// Where none was tried at this stage, it stays what it was.
-/// What does not stand beside what was taken before is no rival, whatever it brings.
+/// Where none was tried at this stage, it stays what it was, if the effect does.
+/// What does not stand beside what was taken before is no rival, whatever it brings, nor what was refused although it is ahead.
 fn weigh(
     finalists: &[Trial],
     chosen: &Trial,
@@ -394,13 +430,17 @@ fn weigh(
         let alike = |trial: &&Trial| {
             trial.names.len() == chosen.names.len() && others().all(|(_, name)| trial.names.contains(name))
         };
-        let rivals: Vec<&Trial> =
-            finalists.iter().filter(alike).filter(|trial| stands(trial, from, thresholds)).collect();
+        let is_rival = |trial: &&Trial| {
+            let was_refused = || apart(trial, chosen) > 0.0 && !brings_together(trial, from, thresholds);
+            stands(trial, from, thresholds) && !was_refused()
+        };
+        let rivals: Vec<&Trial> = finalists.iter().filter(alike).filter(is_rival).collect();
         // A tie is even odds; the scale of the tie takes the place of a nat, since model error and
         // colour make the likelihood sharper than experience bears out.
         let weight = |trial: &Trial| (-apart(chosen, trial) / (0.5 * thresholds.tie)).exp();
         let sum: f64 = rivals.iter().map(|trial| weight(trial)).sum();
-        let known = before.get(place).filter(|_| rivals.len() < 2);
+        let stayed = from.names.get(place) == chosen.names.get(place);
+        let known = before.get(place).filter(|_| stayed && rivals.len() < 2);
         probabilities.push(known.copied().unwrap_or(EXPERIENCE / sum.max(1.0)));
     }
 }

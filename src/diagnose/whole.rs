@@ -7,6 +7,7 @@ use super::search::Searcher;
 use super::trial::{self, Trial};
 use super::verdict;
 use crate::identify::least_squares::Settings;
+use crate::identify::problem::Part;
 use crate::identify::response::Measured;
 use crate::parallel;
 
@@ -45,8 +46,17 @@ impl Searcher<'_> {
         if near.len() < 2 {
             return;
         }
-        let Some(measured) = self.measured.as_ref().map(Measured::of_all_steps) else { return };
-        let told = parallel::map(&near, parallel::cores(), |i| whole(&measured, &finalists[*i]));
+        let Some(measured) = self.measured.as_ref() else { return };
+        let all = measured.of_all_steps();
+        // Of steps that no fit has seen so far the likeliest tells where jumps are.
+        if measured.leaves_steps_out()
+            && let Some(fitted) = near.first().and_then(|i| fitted(&all, &finalists[*i]))
+            && let Some(response) = &fitted.response
+        {
+            let laid = [(Part::Training, &response.training), (Part::HeldOut, &response.held_out)];
+            all.learn_jumps(&fitted.refit.spec, laid);
+        }
+        let told = parallel::map(&near, parallel::cores(), |i| whole(&all, &finalists[*i]));
         // Compared alike, or not at all.
         if told.iter().all(Option::is_some) {
             near.into_iter().zip(told).for_each(|(i, whole)| finalists[i].whole = whole);
@@ -54,10 +64,15 @@ impl Searcher<'_> {
     }
 }
 
-/// A model fitted to all steps from where it stands.
+/// What a model says fitted to all steps.
 fn whole(measured: &Measured<'_>, trial: &Trial) -> Option<Evidence> {
+    let response = fitted(measured, trial)?.response?;
+    Some(Evidence { colour: response.left[0].colour, ..response.evidence() })
+}
+
+/// A model fitted to all steps from where it stands.
+fn fitted(measured: &Measured<'_>, trial: &Trial) -> Option<Trial> {
     trial.response.as_ref()?;
     let settings = Settings { iterations: 20, ..Settings::default() };
-    let response = trial::respond(measured, trial, None, settings)?.response?;
-    Some(Evidence { colour: response.left[0].colour, ..response.evidence() })
+    trial::respond(measured, trial, None, settings)
 }

@@ -22,12 +22,16 @@ pub struct Number {
     pub strength: bool,
 }
 
-/// A driven mass may have no spring at all, and no dashpot, where the model file knows nothing of them (an axis that nothing holds). What plays
-/// within a component has to close against something.
-fn let_vanish(free: &mut Free) {
-    let of_isolator = ["isolator.stiffness_n_m", "isolator.damping_n_s_m"];
+/// A driven mass may have no spring at all, and no dashpot, where the model file knows nothing of them (an axis that nothing holds); a component no
+/// dashpot: what plays within it has to close against something.
+fn let_vanish(free: &mut Free, kind: Kind) {
+    let may_be_none: &[&str] = match kind {
+        Kind::Base => &[],
+        Kind::Component => &["isolator.damping_n_s_m"],
+        Kind::Force => &["isolator.stiffness_n_m", "isolator.damping_n_s_m"],
+    };
     let unknown = free.prior.1 >= free.prior.0.abs() * SIGMA;
-    if unknown && free.start > 0.0 && of_isolator.iter().any(|key| free.key.starts_with(key)) {
+    if unknown && free.start > 0.0 && may_be_none.iter().any(|key| free.key.starts_with(key)) {
         free.bounds.0 = NEXT_TO_NOTHING * free.start;
     }
 }
@@ -82,9 +86,7 @@ impl Numbers {
             }
             out.relative("bumper.total_gap_m", bumper.total_gap_m, u.total_gap_m.unwrap_or(0.02));
         }
-        if kind == Kind::Force {
-            out.free.iter_mut().for_each(let_vanish);
-        }
+        out.free.iter_mut().for_each(|free| let_vanish(free, kind));
         out
     }
 

@@ -43,6 +43,20 @@ pub struct FittedNumber {
     pub low95: f64,
     /// Upper end.
     pub high95: f64,
+    /// It ended at the limit of what it may be, given the model file's uncertainty: the record asks for more, or for less.
+    pub at_limit: bool,
+}
+
+/// Share of the way from a start to a limit that a number at the limit falls short of it at most.
+const SHORT_OF_LIMIT: f64 = 1e-4;
+/// Share of what a number was given as that is nothing.
+const NOTHING: f64 = 1e-3;
+
+impl FittedNumber {
+    /// What is to be said behind it.
+    pub fn remark(&self) -> &'static str {
+        if self.at_limit { "; at the limit of what it may be, see its uncertainty" } else { "" }
+    }
 }
 
 impl Refit {
@@ -51,9 +65,23 @@ impl Refit {
         let of = |number: &Number| {
             let (value, low95, high95) = self.interval(&number.key)?;
             let nominal = given.get(&number.key).ok()?;
-            Some(FittedNumber { key: number.key.clone(), nominal, value, low95, high95 })
+            let at_limit = self.is_at_limit(&number.key);
+            Some(FittedNumber { key: number.key.clone(), nominal, value, low95, high95, at_limit })
         };
         self.numbers.numbers.iter().filter_map(of).collect()
+    }
+
+    /// Whether a number ended at a limit.
+    fn is_at_limit(&self, key: &str) -> bool {
+        let mut all = self.numbers.free.iter().zip(&self.fit.values);
+        all.find(|(free, _)| free.key == key).is_some_and(
+            |(Free { bounds: (low, high), start, prior, .. }, value)| {
+                let short_of = |limit: f64| (value - limit).abs() <= SHORT_OF_LIMIT * (start - limit).abs();
+                // What may vanish and does is none.
+                let is_nothing = |limit: f64| limit.abs() < NOTHING * prior.0.abs();
+                [*low, *high].into_iter().any(|limit| short_of(limit) && !is_nothing(limit))
+            },
+        )
     }
 
     /// Value and 95 % interval of a key.

@@ -134,10 +134,10 @@ fn tables(page: &mut Page, found: &Diagnosis) {
         }
     }
     if !found.reidentified.is_empty() {
-        page.section("Re-identified numbers");
+        page.section(found.numbers_title());
         let mut table = Table::new(["Number", "In the model", "Re-identified", "95 % interval"]);
         for r in &found.reidentified {
-            let interval = format!("{} to {}", Short(r.low95), Short(r.high95));
+            let interval = format!("{} to {}{}", Short(r.low95), Short(r.high95), r.remark());
             table.push([r.key.clone(), Short(r.nominal).to_string(), Short(r.value).to_string(), interval]);
         }
         page.table(&table);

@@ -3,18 +3,14 @@
 use super::PAPERS_MODEL;
 use super::compare::sweep;
 use crate::cli::reading::read_model;
-use crate::cli::{CliError, Outcome};
-use crate::diagnose::{Options, diagnose, parts};
+use crate::cli::{CliError, Outcome, parts};
+use crate::diagnose::{Options, diagnose};
 use crate::model::{Scales, effects};
 use crate::units::SAMPLE_RATE_HZ;
 use rustix::time::{ClockId, clock_gettime};
 use serde_json::{Map, Value, json};
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
-use tracing::Event;
-use tracing::field::{Field, Visit};
-use tracing::subscriber::with_default;
-use tracing_subscriber::layer::{Context, Layer, SubscriberExt as _};
 
 /// What the specimen of each sweep carries.
 #[derive(Debug, clap::Args)]
@@ -40,36 +36,17 @@ fn now() -> (Instant, f64) {
     (Instant::now(), worked.tv_sec as f64 + 1e-9 * worked.tv_nsec as f64)
 }
 
-/// Adds up what the parts of a diagnosis take.
-struct Listener(Arc<Mutex<Watch>>);
-
-impl<S: tracing::Subscriber> Layer<S> for Listener {
-    fn on_event(&self, event: &Event<'_>, _context: Context<'_, S>) {
-        if event.metadata().target() != parts::TARGET {
-            return;
-        }
-        let mut part = Part(String::new());
-        event.record(&mut part);
-        let Ok(mut watch) = self.0.lock() else { return };
+impl Watch {
+    /// Adds up what the parts of a diagnosis take.
+    fn ended(&mut self, part: String) {
         let now = now();
-        let last = std::mem::replace(&mut watch.last, now);
+        let last = std::mem::replace(&mut self.last, now);
         let passed = [(now.0 - last.0).as_secs_f64(), now.1 - last.1];
-        match watch.times.iter_mut().find(|(name, _)| *name == part.0) {
+        match self.times.iter_mut().find(|(name, _)| *name == part) {
             Some((_, sums)) => sums.iter_mut().zip(passed).for_each(|(sum, s)| *sum += s),
-            None => watch.times.push((part.0, passed)),
+            None => self.times.push((part, passed)),
         }
     }
-}
-
-/// Name of the part that an event tells of.
-struct Part(String);
-
-impl Visit for Part {
-    fn record_str(&mut self, _field: &Field, value: &str) {
-        value.clone_into(&mut self.0);
-    }
-
-    fn record_debug(&mut self, _field: &Field, _value: &dyn std::fmt::Debug) {}
 }
 
 /// Times a diagnosis of the paper's sweep (B1-G2 at 0.05 g) with the noise of the sensors for each hidden effect.
@@ -92,8 +69,13 @@ pub fn execute(args: &DiagnoseArgs, json: bool) -> Result<Outcome, CliError> {
     for (name, specimen) in specimens {
         let record = sweep(&specimen)?;
         let watch = Arc::new(Mutex::new(Watch { times: Vec::new(), last: now() }));
-        let subscriber = tracing_subscriber::registry().with(Listener(Arc::clone(&watch)));
-        let found = with_default(subscriber, || diagnose(&record, &model, &Options::default()));
+        let on_watch = Arc::clone(&watch);
+        let ended = move |part| {
+            if let Ok(mut watch) = on_watch.lock() {
+                watch.ended(part);
+            }
+        };
+        let found = parts::told(ended, || diagnose(&record, &model, &Options::default()));
         let found = found.map_err(CliError::failed)?;
         let said = found.effects.iter().map(|effect| effect.name.as_str()).collect::<Vec<_>>().join(" + ");
         let said = if said.is_empty() { found.verdict.name().to_owned() } else { said };

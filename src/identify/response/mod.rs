@@ -18,6 +18,7 @@ mod profile;
 mod settle;
 mod slow;
 mod specimens;
+mod steps;
 mod tangent;
 #[cfg(test)]
 mod tests;
@@ -40,7 +41,6 @@ use super::motion::{Motion, Window};
 use super::numbers::Numbers;
 use super::problem::{DRIFT, Part};
 use super::refit::{with_zero, zero_sigma_m};
-use super::windows::{largest_m, struck};
 use crate::model::ModelSpec;
 use crate::parallel;
 use crate::record::Kind;
@@ -50,11 +50,6 @@ use std::sync::{Arc, OnceLock, RwLock};
 /// A step in which the mean square of the residuals is so many times that of the noise begins to count by its logarithm: one in
 /// which a stiff contact leads elsewhere does not rule the fit.
 const ROBUST: f64 = 1.5;
-/// Samples of a record that are simulated at most in one evaluation; steps are left out evenly beyond it.
-const SAMPLES: usize = 75_000;
-/// A record of more samples (records together: of so many times more) tells enough by a part of its steps where candidates are
-/// sorted out.
-const LONG: usize = 360_000;
 /// Standard deviation of the time between the table's channel and the others, in samples.
 const LAG: f64 = 0.3;
 /// Numbers beyond the model's of each record: zero of the displacement sensor, leak, lag, gains of the displacement sensor and of the
@@ -89,6 +84,8 @@ pub struct Measured<'a> {
     /// Numbers of the windows of each part.
     training: Vec<usize>,
     held_out: Vec<usize>,
+    /// Those that there was no room for in either.
+    left_out: Vec<usize>,
     zero_sigma_m: f64,
     leak_sigma: f64,
     gain_sigmas: [f64; 2],
@@ -176,36 +173,15 @@ impl<'a> Measured<'a> {
         if !driven || motion.restoring_noise_m_s2 <= 0.0 || sees_displacement && motion.laser_noise_m <= 0.0 {
             return None;
         }
-        let of = |held_out: bool| -> Vec<usize> {
-            let all: Vec<usize> =
-                (0..motion.windows.len()).filter(|k| motion.windows[*k].held_out == held_out).collect();
-            let samples: usize =
-                all.iter().map(|k| motion.windows[*k].range.end - motion.windows[*k].warm_from).sum();
-            // A record alone keeps one of so many; records together all that there is room for, since a little too much of them would
-            // leave out half of what the last one was recorded for.
-            let times = samples as f64 / (SAMPLES * motion.sources.len().max(1)) as f64;
-            let as_many_as_fit = motion.sources.len() > 1 || motion.kind == Kind::Force;
-            let share = 1.0 / if as_many_as_fit { times.max(1.0) } else { times.ceil().max(1.0) };
-            // Of a whole sweep the one in which the mass goes farthest tells what none of the few does that are left.
-            let reaches = |k: &usize| largest_m(motion, &motion.windows[*k].range);
-            let farthest = if !held_out && is_long(motion) {
-                all.iter().copied().max_by(|a, b| reaches(a).total_cmp(&reaches(b)))
-            } else {
-                None
-            };
-            let struck = struck(motion, &motion.windows);
-            let needed = |k: usize| motion.windows[k].settling || Some(k) == farthest || struck[k];
-            let kept = |(i, k): (usize, usize)| (stays(i, share) || needed(k)).then_some(k);
-            all.into_iter().enumerate().filter_map(kept).collect()
-        };
         let [of_laser, of_accelerometers, leak_sigma] = gains_and_leak(motion).map(|sigma| sigma.max(1e-6));
-        let (training, held_out) = (of(false), of(true));
+        let [training, held_out, left_out] = steps::of(motion);
         let coarse = motion.is_coarse();
         (!training.is_empty() && !held_out.is_empty()).then(|| Self {
             motion,
             sees_displacement,
             training,
             held_out,
+            left_out,
             zero_sigma_m: zero_sigma_m(motion),
             gain_sigmas: [of_laser, of_accelerometers],
             leak_sigma,
@@ -227,41 +203,6 @@ impl<'a> Measured<'a> {
             driven: Arc::default(),
             remembered: Arc::default(),
         })
-    }
-
-    /// The same with every so many steps of training alone, for fits that sort out.
-    pub fn every(&self, steps: usize) -> Self {
-        let training = self.training.iter().copied().step_by(steps.max(1)).collect();
-        Self { training, ..self.clone() }
-    }
-
-    /// The same with the steps that judge taken into the fit, too: for the evidence of a whole record.
-    pub fn of_all_steps(&self) -> Self {
-        let mut training = [self.training.as_slice(), &self.held_out].concat();
-        training.sort_unstable();
-        Self { training, ..self.clone() }
-    }
-
-    /// The same with the cycles alone in which the mass goes farther than in any steady stretch.
-    pub fn settling(&self) -> Self {
-        let settles = |k: &usize| self.motion.windows[*k].settling;
-        Self { training: self.training.iter().copied().filter(settles).collect(), ..self.clone() }
-    }
-
-    /// Whether a part of the steps is enough to sort out.
-    pub fn is_long(&self) -> bool {
-        is_long(self.motion)
-    }
-
-    /// Whether the record has no steps.
-    pub fn is_without_steps(&self) -> bool {
-        self.motion.windows.iter().all(|window| window.random)
-    }
-
-    /// Share of the steps of training in which impacts kick the table: what drives those is known as it was measured, not as a sine.
-    pub fn kicked(&self) -> f64 {
-        let kicked = |k: &&usize| self.motion.windows[**k].drive_noise_m_s2 > 0.0;
-        self.training.iter().filter(kicked).count() as f64 / self.training.len().max(1) as f64
     }
 
     /// An applied force drives it, known at its samples: what a solver makes of it between them is made up for, but for some
@@ -513,18 +454,6 @@ fn gains_and_leak(motion: &Motion) -> [f64; 3] {
         }
         (None, Kind::Force | Kind::Component) => [0.0; 3],
     }
-}
-
-/// Whether the step of that place stays where a share of them does, evenly.
-fn stays(place: usize, share: f64) -> bool {
-    // Beside what rounding makes of whole numbers.
-    let before = |place: usize| (place as f64 * share - 1e-9).ceil();
-    before(place + 1) > before(place)
-}
-
-/// Whether so many samples were recorded that a part of the steps tells enough.
-fn is_long(motion: &Motion) -> bool {
-    motion.displacement_m.len() > LONG * motion.sources.len().max(1)
 }
 
 /// Rise from one of so many samples to the next, by central differences, at the ends by those to the only neighbour, a sample.

@@ -465,36 +465,8 @@ fn a_blow_moves_a_mass_alike_in_both_solvers() {
 }
 
 #[test]
-fn a_fit_to_a_whole_sweep_sees_the_step_in_which_the_mass_goes_farthest() {
-    let mut motion = Motion::of(&seen(&b1_g2(), 3), 500.0, Tolerances::default()).expect("a motion");
-    // As long as a whole sweep and its steps, in either order.
-    motion.displacement_m.resize(LONG + 1, 0.0);
-    motion.windows.iter_mut().for_each(|window| window.warm_from = 0);
-    for _ in 0..2 {
-        let measured = Measured::new(&motion).expect("driven");
-        let serve: Vec<usize> = (0..motion.windows.len()).filter(|k| !motion.windows[*k].held_out).collect();
-        assert!(measured.training.len() < serve.len(), "steps are left out");
-        let farthest = |steps: &[usize]| {
-            steps.iter().map(|k| largest_m(&motion, &motion.windows[*k].range)).fold(0.0, f64::max)
-        };
-        assert_eq!(farthest(&measured.training), farthest(&serve));
-        motion.windows.reverse();
-    }
-}
-
-#[test]
 fn a_line_rises_alike_at_its_ends() {
     let line: Simulated = (0..5).map(|i| (3.0 * f64::from(i), -2.0 * f64::from(i))).collect();
     (0..5).for_each(|i| assert_eq!(slopes(|i| line[i], line.len(), i), (3.0, -2.0), "{i}"));
     assert_eq!(slopes(|i| line[i], 1, 0), (0.0, 0.0));
-}
-
-#[test]
-fn steps_are_left_out_evenly_and_no_more_than_have_to_be() {
-    let left = |share: f64| (0..60).filter(|place| stays(*place, share)).collect::<Vec<_>>();
-    assert_eq!(left(1.0).len(), 60);
-    // One in ten too many had every other one left out.
-    assert_eq!(left(0.9).len(), 54);
-    assert_eq!(left(0.5), (0..60).step_by(2).collect::<Vec<_>>());
-    assert_eq!(left(1.0 / 7.0), (0..60).step_by(7).collect::<Vec<_>>());
 }

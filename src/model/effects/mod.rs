@@ -13,7 +13,7 @@ mod bumper_stiffening;
 mod constant_force;
 pub(crate) mod coulomb_friction;
 mod cubic_stiffness;
-mod expression;
+pub mod expression;
 pub(super) mod fractional_damping;
 mod gap_asymmetry;
 mod hertz_contact;
