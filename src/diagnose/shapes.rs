@@ -56,9 +56,11 @@ const TYPICAL: f64 = 3.0;
 
 /// Even and odd powers of displacement and velocity, a root of the velocity, and their products, waves over displacement, forces of one
 /// side, friction in places, slow changes, and forces over a bumper's penetration.
-const SHAPES: [&str; 25] = [
+const SHAPES: [&str; 27] = [
     "f*(d/dm)^2",
     "f*(d/dm)*abs(d/dm)",
+    "f*max(d/dm, 0)^2",
+    "f*max(0-d/dm, 0)^2",
     "f*(d/dm)^5",
     "f*(v/vm)^2",
     "f*(v/vm)^3",
