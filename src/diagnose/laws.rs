@@ -75,6 +75,9 @@ impl Searcher<'_> {
         if self.motion.kind != Kind::Component || decision.verdict == Verdict::Adequate {
             return decision;
         }
+        if self.is_enough(&decision.chosen, thresholds) {
+            return decision;
+        }
         let with = search.law.clone().or_else(|| self.lawful(&search.base));
         let Some(with) = with else { return decision };
         let (taken, ahead) = (&decision.chosen, verdict::apart(&with, &decision.chosen));
@@ -97,13 +100,22 @@ impl Searcher<'_> {
         }
     }
 
-    /// Whether a law leaves nothing of a component but noise, which the base model does not, and does better than each first effect.
+    /// Whether one effect leaves nothing but noise: a law with more numbers takes up what its motion does between samples.
+    fn is_enough(&self, taken: &Trial, thresholds: Thresholds) -> bool {
+        taken.names.len() == 1 && verdict::leaves_noise(self, taken, thresholds)
+    }
+
+    /// Whether a law leaves nothing of a component but noise, which neither the base model nor a first effect does, and does better than
+    /// each of those.
     pub(super) fn is_lawful(&self, search: &mut Search, first: &Stage, thresholds: Thresholds) -> bool {
         if verdict::leaves_noise(self, &search.base, thresholds) {
             return false;
         }
-        search.law = self.lawful(&search.base);
         let best = first.finalists.iter().fold(&search.base, verdict::better);
+        if self.is_enough(best, thresholds) {
+            return false;
+        }
+        search.law = self.lawful(&search.base);
         search.law.as_ref().is_some_and(|with| {
             verdict::apart(with, best) > thresholds.of_shape_instead(best)
                 && verdict::leaves_noise(self, with, thresholds)

@@ -165,7 +165,7 @@ pub fn elsewhere(first: &str, second: &str, kind: Kind) -> NextTest {
     NextTest {
         title: title.to_owned(),
         reason: format!(
-            "{first} and {second} do alike in this motion, and not in any: give the new record along with this one \
+            "{first} and {second} do alike in this motion and differ in others: give the new record, of the same sampling rate, along with this one \
              (`diagnose THIS NEW --model MODEL`)"
         ),
         expected_discrimination: 0.0,
