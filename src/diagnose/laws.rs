@@ -161,6 +161,7 @@ impl Law {
     fn beside(&self, base: &Trial, start: &EffectSpec, scales: &Scales) -> Trial {
         let fitted: Vec<&str> = self.numbers.iter().map(|own| own.name).chain(["f_n"]).collect();
         let mut with = base.with_expression(candidates::beside(&base.refit.spec, start), &fitted, scales);
+        with.refit.numbers.let_dashpot_vanish();
         let index = with.refit.spec.effects.len() - 1;
         for Own { name, over, limits: [low, high], .. } in self.numbers {
             let limits = (low * over(scales), high * over(scales));

@@ -22,17 +22,15 @@ pub struct Number {
     pub strength: bool,
 }
 
-/// A driven mass may have no spring at all, and no dashpot, where the model file knows nothing of them (an axis that nothing holds); a component no
-/// dashpot: what plays within it has to close against something.
-fn let_vanish(free: &mut Free, kind: Kind) {
-    let may_be_none: &[&str] = match kind {
-        Kind::Base => &[],
-        Kind::Component => &["isolator.damping_n_s_m"],
-        Kind::Force => &["isolator.stiffness_n_m", "isolator.damping_n_s_m"],
-    };
+/// Keys of the springs and of the dashpot of an isolator.
+const SPRING: &str = "isolator.stiffness_n_m";
+const DASHPOT: &str = "isolator.damping_n_s_m";
+
+/// Lets those of such keys vanish of which the model file knows nothing.
+fn let_vanish(free: &mut Free, keys: &[&str]) {
     let unknown = free.prior.1 >= free.prior.0.abs() * SIGMA;
-    if unknown && free.start > 0.0 && may_be_none.iter().any(|key| free.key.starts_with(key)) {
-        free.bounds.0 = NEXT_TO_NOTHING * free.start;
+    if unknown && free.prior.0 > 0.0 && keys.iter().any(|key| free.key.starts_with(key)) {
+        free.bounds.0 = NEXT_TO_NOTHING * free.prior.0;
     }
 }
 
@@ -86,7 +84,10 @@ impl Numbers {
             }
             out.relative("bumper.total_gap_m", bumper.total_gap_m, u.total_gap_m.unwrap_or(0.02));
         }
-        out.free.iter_mut().for_each(|free| let_vanish(free, kind));
+        // A driven mass may have neither (an axis that nothing holds).
+        if kind == Kind::Force {
+            out.free.iter_mut().for_each(|free| let_vanish(free, &[SPRING, DASHPOT]));
+        }
         out
     }
 
@@ -179,6 +180,12 @@ impl Numbers {
         };
         self.numbers.push(Number { key: key.to_owned(), logarithmic, strength: false });
         self.free.push(free);
+    }
+
+    /// A component may have no dashpot beside a law of its own, where the model file knows nothing of one. What plays within it has to close
+    /// against something: during a search it may not.
+    pub fn let_dashpot_vanish(&mut self) {
+        self.free.iter_mut().for_each(|free| let_vanish(free, &[DASHPOT]));
     }
 
     /// Forgets the numbers whose keys are not to be kept.
