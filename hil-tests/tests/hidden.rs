@@ -78,8 +78,9 @@ fn sharpness_is_told(seed: u64, sharpness: f64) {
 #[test]
 fn what_others_hide_is_tried() {
     // To first order, four hysteretic and damping effects do better than a friction of less than a tenth of a newton; three of those come
-    // within 6 nats once their fits arrive, and are told apart by the steps that the search has no room for. A preload brings 80 nats, of which noise takes three on the held-out steps. A damping that grows with
-    // penetration brings 24, of which first order saw one: a bumper's own makes up for all but a thousandth of what it changes.
+    // within 6 nats once their fits arrive, and are told apart by the steps that the search has no room for. A preload brings 80 nats, of
+    // which noise takes three on the held-out steps. A damping that grows with penetration brings 24, of which first order saw one: a
+    // bumper's own makes up for all but a thousandth of what it changes.
     are_named(&[
         (10_091_004, "coulomb-friction", 0.05, Verdict::Missing),
         (10_097_309, "bumper-preload", 0.02, Verdict::Missing),

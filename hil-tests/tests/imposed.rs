@@ -70,18 +70,21 @@ fn the_shape_of_a_hysteresis_is_told_beside_a_force_that_hid_it() {
     is_at_the_floor(&found);
 }
 
+/// A rig as someone guesses it who knows nothing of it.
+fn guessed(rig: Rig) -> ModelSpec {
+    let isolator = IsolatorUncertainty {
+        stiffness_n_m: vec![1.0],
+        damping_n_s_m: Some(1.0),
+        ..IsolatorUncertainty::default()
+    };
+    let uncertainty = Uncertainty { isolator: Some(isolator), ..Uncertainty::default() };
+    ModelSpec { uncertainty: Some(uncertainty), ..nominal(rig) }
+}
+
 #[test]
 fn a_guess_of_half_of_what_is_there_is_no_missing_effect() {
     // A number could not become more than 1.95 times what was given, and effects stood in for the rest.
-    let uncertainty = Uncertainty {
-        isolator: Some(IsolatorUncertainty {
-            stiffness_n_m: vec![1.0],
-            damping_n_s_m: Some(1.0),
-            ..IsolatorUncertainty::default()
-        }),
-        ..Uncertainty::default()
-    };
-    let mut guess = ModelSpec { uncertainty: Some(uncertainty), ..nominal(SPRING) };
+    let mut guess = guessed(SPRING);
     guess.isolator.stiffness_n_m[0] *= 0.4;
     guess.isolator.damping_n_s_m *= 0.3;
     let record = friction(SPRING, 0.0, 13);
@@ -121,17 +124,8 @@ fn a_fluid_damper_is_outside_the_catalogue_and_drafted() {
 fn a_dashpot_that_is_none_is_told_so_beside_a_damper_whatever_was_guessed() {
     // It ended at a twentieth of the guess, and the power of the law made up for that.
     let of = |damping_n_s_m: f64| Rig { damping_n_s_m, ..SPRING };
-    let mut guess = nominal(of(3000.0));
-    guess.uncertainty = Some(Uncertainty {
-        isolator: Some(IsolatorUncertainty {
-            stiffness_n_m: vec![1.0],
-            damping_n_s_m: Some(1.0),
-            ..IsolatorUncertainty::default()
-        }),
-        ..Uncertainty::default()
-    });
-    let found =
-        diagnose(&orifice(of(0.0), [2000.0, 0.5], 16), &guess, &Options::default()).expect("a sound record");
+    let damper = orifice(of(0.0), [2000.0, 0.5], 16);
+    let found = diagnose(&damper, &guessed(of(3000.0)), &Options::default()).expect("a sound record");
     assert_eq!(found.verdict, Verdict::OutsideCatalogue, "{:?}", found.effects);
     let draft = found.missing_force.as_ref().and_then(|force| force.expression.as_ref()).expect("a draft");
     assert!((draft.parameters["p"] - 0.5).abs() < 0.01, "{draft:?}");

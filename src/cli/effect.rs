@@ -7,6 +7,7 @@ use crate::config::Check;
 use crate::diagnose::adding::{self, Added};
 use crate::model::effects::{self, CATALOGUE, Effect};
 use crate::model::{EffectSpec, ModelSpec, Scales, build};
+use crate::record::mended::mended;
 use crate::units::SAMPLE_RATE_HZ;
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
@@ -111,7 +112,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
                 None => None,
                 Some(record) => {
                     let record = reading.of(record).open()?;
-                    refuse_unfit(&record, &nominal, anyway)?;
+                    refuse_unfit(&mended(&record), &nominal, anyway)?;
                     let added = adding::add(&record, &nominal, &spec, &given).map_err(CliError::failed)?;
                     say_new(&added.notes, &record);
                     Some(added)

@@ -4,14 +4,14 @@ use super::CliError;
 use crate::diagnose::{DiagnoseError, fitness};
 use crate::identify::refit::FittedNumber;
 use crate::model::ModelSpec;
-use crate::record::{Record, mended::mended};
+use crate::record::Record;
 
-/// Refuses to fit a model to a record that is not fit for it, unless it is to be used anyway.
+/// Refuses to fit a model to a record, its faults mended, that is not fit for it, unless it is to be used anyway.
 ///
 /// # Errors
 /// [`CliError::Failed`] with what is wrong, and what to do.
 pub fn refuse_unfit(record: &Record, model: &ModelSpec, anyway: bool) -> Result<(), CliError> {
-    fitness(&mended(record), model, anyway).map(drop).map_err(failed)
+    fitness(record, model, anyway).map(drop).map_err(failed)
 }
 
 /// A diagnosis that failed; of a record that is not fit for it, with what to do.

@@ -9,7 +9,8 @@ use crate::identify::kinematics::Tolerances;
 use crate::identify::motion::Motion;
 use crate::identify::problem::Part;
 use crate::identify::refit::FittedNumber;
-use crate::identify::{holding, readied};
+use crate::identify::{holding, in_its_band};
+use crate::record::mended::mended;
 use std::path::PathBuf;
 
 /// Re-fit the parameters of a model to a record.
@@ -39,8 +40,9 @@ pub struct Args {
 pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let nominal = super::reading::read_model(&args.model)?;
     let opened = args.read.open()?;
-    refuse_unfit(&opened, &nominal, args.anyway)?;
-    let record = readied(&opened);
+    let record = mended(&opened);
+    refuse_unfit(&record, &nominal, args.anyway)?;
+    let record = in_its_band(record);
     say_new(&record.notes, &opened);
     let nominal = holding(&nominal, [&*record]);
     let motion = Motion::of(&record, nominal.mass_kg, Tolerances::default()).map_err(CliError::failed)?;

@@ -72,10 +72,8 @@ const STRENGTH: f64 = 0.3;
 impl Searcher<'_> {
     /// What was decided, or that a law explains it rather.
     pub(super) fn by_law(&self, search: &Search, decision: Decision, thresholds: Thresholds) -> Decision {
-        if self.motion.kind != Kind::Component || decision.verdict == Verdict::Adequate {
-            return decision;
-        }
-        if self.is_enough(&decision.chosen, thresholds) {
+        let asks = self.motion.kind == Kind::Component && decision.verdict != Verdict::Adequate;
+        if !asks || self.is_enough(&decision.chosen, thresholds) {
             return decision;
         }
         let with = search.law.clone().or_else(|| self.lawful(&search.base));
@@ -173,12 +171,8 @@ impl Law {
 
 /// The law that a trial has in it, as a draft; none where it has none.
 pub fn draft(trial: &Trial, base: &Trial) -> Option<Draft> {
-    let last = trial
-        .refit
-        .spec
-        .effects
-        .last()
-        .filter(|_| trial.names.last().is_some_and(|n| n == expression::EFFECT.name))?;
+    let is_law = verdict::last_name(trial) == expression::EFFECT.name;
+    let last = trial.refit.spec.effects.last().filter(|_| is_law)?;
     Some(Draft {
         expression: last.expression.clone()?,
         parameters: last.parameters.clone(),

@@ -48,6 +48,17 @@ pub struct SweepProposal {
 }
 
 impl NextTest {
+    /// One that is no sweep.
+    fn in_words(title: &str, reason: String) -> Self {
+        Self {
+            title: title.to_owned(),
+            reason,
+            expected_discrimination: 0.0,
+            expected_nats: 0.0,
+            sweep: None,
+        }
+    }
+
     /// Reads the test from the JSON that `diagnose --json` prints, or from its `next_test` alone.
     ///
     /// # Errors
@@ -162,16 +173,11 @@ pub fn elsewhere(first: &str, second: &str, kind: Kind) -> NextTest {
             "drive it at a third and at three times the level, over the same frequencies"
         }
     };
-    NextTest {
-        title: title.to_owned(),
-        reason: format!(
-            "{first} and {second} do alike in this motion and differ in others: give the new record, of the same sampling rate, along with this one \
-             (`diagnose THIS NEW --model MODEL`)"
-        ),
-        expected_discrimination: 0.0,
-        expected_nats: 0.0,
-        sweep: None,
-    }
+    let reason = format!(
+        "{first} and {second} do alike in this motion and differ in others: give the new record, of the same sampling rate, along \
+         with this one (`diagnose THIS NEW --model MODEL`)"
+    );
+    NextTest::in_words(title, reason)
 }
 
 /// Proposes the test that best parts the fitted rivals.
@@ -184,13 +190,7 @@ pub fn propose(
     enough: f64,
 ) -> Option<NextTest> {
     if let Some((title, reason)) = known(first.0, second.0) {
-        return Some(NextTest {
-            title: title.to_owned(),
-            reason: reason.to_owned(),
-            expected_discrimination: 0.0,
-            expected_nats: 0.0,
-            sweep: None,
-        });
+        return Some(NextTest::in_words(title, reason.to_owned()));
     }
     let (a, b) = (Rival::new(first.1), Rival::new(second.1));
     let tests = possible(&first.1.spec, reach);
