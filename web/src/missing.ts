@@ -96,7 +96,7 @@ export class Missing {
       test && [h("h3", {}, "Next test"), h("p", {}, h("b", {}, test.title), " ", test.reason, test.expected_discrimination > 0 ? ` Expected difference: ${short(test.expected_discrimination)} times the noise.` : ""),
         test.sweep && h("button", { "data-action": "load-next-test", onclick: () => this.take(test) }, "Load into Sweep")],
       h("details", { open: d.refused.length < 6 }, h("summary", {}, `Refused: ${d.refused.length}`), h("ul", { class: "refused" }, d.refused.map((r) => h("li", {}, h("b", {}, r.name), ": ", r.reason)))),
-      d.reidentified.length > 0 && h("details", {}, h("summary", {}, "Re-identified numbers"), h("table", { class: "small" }, h("tbody", {}, d.reidentified.map((r) => h("tr", {}, h("td", {}, r.key), h("td", {}, short(r.nominal)), h("td", {}, "→ ", short(r.value)), h("td", { class: "quiet" }, `${short(r.low95)} to ${short(r.high95)}`)))))),
+      d.reidentified.length > 0 && h("details", {}, h("summary", {}, "Re-identified numbers"), h("table", { class: "small" }, h("tbody", {}, d.reidentified.map((r) => h("tr", {}, h("td", {}, r.key), h("td", {}, short(r.nominal)), h("td", {}, "→ ", short(r.value)), h("td", { class: "quiet" }, `${short(r.low95)} to ${short(r.high95)}`, r.at_limit && h("b", {}, ", at the limit of what its uncertainty allows"))))))),
       d.not_identifiable.length > 0 && h("p", { class: "quiet" }, `This record cannot tell: ${d.not_identifiable.join("; ")}.`),
       d.notes.map((note) => h("p", { class: "quiet" }, note)));
   }

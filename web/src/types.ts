@@ -147,7 +147,7 @@ export interface Diagnosis {
     expression: { expression: string; parameters: Record<string, number>; explains: number } | null;
   } | null;
   ladder: { model: string; training: number; held_out: number }[];
-  reidentified: { key: string; nominal: number; value: number; low95: number; high95: number }[];
+  reidentified: { key: string; nominal: number; value: number; low95: number; high95: number; at_limit: boolean }[];
   not_identifiable: string[]; notes: string[]; share_left: number; wall_s: number;
 }
 
