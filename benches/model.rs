@@ -8,7 +8,6 @@ use shaketable::model::{
     EffectSpec, ModelSpec, Options, SweepHistory, build, simulate_sweep, sweep_history, sweep_peaks,
 };
 use shaketable::sweep::{Schedule, Step, SweepSpec, Transition};
-use std::cell::{Cell, RefCell};
 use std::f64::consts::TAU;
 use std::hint::black_box;
 
@@ -109,8 +108,10 @@ fn by_crate(steps: &[Step]) -> usize {
 }
 
 /// The sweep by `diffsol` (Tsitouras 5(4)), with its own root finder and interpolation, sampled at 2048 Hz.
+#[cfg(feature = "peers")]
 fn by_diffsol(steps: &[Step]) -> Result<usize, diffsol::DiffsolError> {
     use diffsol::{NalgebraMat, OdeBuilder, OdeSolverMethod, OdeSolverStopReason};
+    use std::cell::{Cell, RefCell};
     let regime = RefCell::new(Regime { contact: [false; 2], segment: 0, amplitude: 0.0, w: 0.0 });
     let begin = Cell::new(0.0);
     let four = |y: &[f64]| [y[0], y[1], y[2], y[3]];
@@ -228,6 +229,7 @@ fn model(c: &mut Criterion) {
         });
     });
     group.bench_function("differential-equations, dop853, 1e-8", |b| b.iter(|| black_box(by_crate(steps))));
+    #[cfg(feature = "peers")]
     group.bench_function("diffsol, tsit45, 1e-8", |b| b.iter(|| black_box(by_diffsol(steps).expect("runs"))));
     group.finish();
 }
