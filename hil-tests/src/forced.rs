@@ -19,6 +19,8 @@ pub struct Body {
     pub damping_n_s_m: f64,
     /// N/m3.
     pub cubic_n_m3: f64,
+    /// Damping that grows with the square of the displacement, N s/m3.
+    pub growing_n_s_m3: f64,
     /// N.
     pub friction_n: f64,
     /// What pushes it all the time, in the sense of a restoring force, N.
@@ -29,7 +31,8 @@ impl Body {
     /// Acceleration beside friction, m/s2.
     pub(crate) fn free_m_s2(&self, force_n: f64, x_m: f64, v_m_s: f64) -> f64 {
         let spring_n = self.stiffness_n_m * x_m + self.cubic_n_m3 * x_m.powi(3);
-        (force_n - self.constant_n - spring_n - self.damping_n_s_m * v_m_s) / self.mass_kg
+        let dashpot_n_s_m = self.damping_n_s_m + self.growing_n_s_m3 * x_m.powi(2);
+        (force_n - self.constant_n - spring_n - dashpot_n_s_m * v_m_s) / self.mass_kg
     }
 
     /// One fine step of `h_s` with friction: where it turns it goes on from rest, or stays where it is held.

@@ -12,6 +12,7 @@ const MACHINE: Body = Body {
     stiffness_n_m: 49_348.0,
     damping_n_s_m: 94.2,
     cubic_n_m3: 0.0,
+    growing_n_s_m3: 0.0,
     friction_n: 0.0,
     constant_n: 0.0,
 };

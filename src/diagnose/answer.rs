@@ -19,6 +19,7 @@ use crate::identify::response::Measured;
 use crate::identify::together::Setting;
 use crate::model::{ModelSpec, effects};
 use crate::record::{Kind, Record};
+use std::collections::BTreeSet;
 
 /// Share of the missing force by which a sum of terms explains more than a law before it is the draft.
 const AS_WELL: f64 = 0.01;
@@ -105,7 +106,7 @@ impl Composer<'_> {
             noise_floor: after.noise_floor(self.motion),
             next_test: if verdict == Verdict::Ambiguous { self.next_test(search, &decision) } else { None },
             ambiguous_with: decision.ambiguous_with,
-            missing_force: self.missing_force(search, chosen),
+            missing_force: self.missing_force(search, chosen, verdict),
             left: self.left(chosen, verdict, after.nrmse() / after.noise_floor(self.motion)),
             steps: self.steps(&without.unwrap_or_default(), &with),
             ladder,
@@ -131,10 +132,14 @@ impl Composer<'_> {
         Motion::together(self.tests.iter().map(part).collect::<Option<_>>()?).ok()
     }
 
-    /// What the re-identified model lacks, and a draft of it: the law, where there is one that explains as much, or a sum of terms.
-    fn missing_force(&self, search: &Search, chosen: &Trial) -> Option<MissingForce> {
+    /// What the re-identified model lacks, and a draft of it: the law, where there is one that explains as much, or a sum of terms. Of
+    /// what is adequate nothing is drafted.
+    fn missing_force(&self, search: &Search, chosen: &Trial, verdict: Verdict) -> Option<MissingForce> {
         let force = missing_force::map(self.searcher.problem(), &search.base.refit, Part::All)?;
-        let law = laws::draft(chosen, &search.base);
+        if verdict == Verdict::Adequate {
+            return Some(MissingForce { expression: None, ..force });
+        }
+        let law = laws::draft(chosen, &search.base, self.searcher);
         let of_terms = force.expression.as_ref().map_or(0.0, |terms| terms.explains);
         let expression = law.filter(|law| law.explains + AS_WELL > of_terms).or(force.expression);
         Some(MissingForce { expression, ..force })
@@ -316,6 +321,9 @@ impl Composer<'_> {
                 "slow noise beside the model{of}: as much as the laser's white one at {corner:.2} Hz, more below; its own drift, or motion that the table's sensors do not show (counted as noise)"
             )
         }));
+        // What was said before records were taken otherwise is said of those again.
+        let mut said = BTreeSet::new();
+        notes.retain(|note| said.insert(note.clone()));
         notes
     }
 }

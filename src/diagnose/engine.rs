@@ -183,7 +183,7 @@ fn of_motion(
     (tests, nominal): (&[(&Record, &ModelSpec)], &ModelSpec),
     options: &Options,
     motion: Motion,
-    (mut findings, mut notes): (Vec<(usize, Finding)>, Vec<String>),
+    (mut findings, notes): (Vec<(usize, Finding)>, Vec<String>),
     again: Again<'_>,
 ) -> Result<Diagnosis, DiagnoseError> {
     let searcher = Searcher::new(&motion, nominal, options.effort).without(&options.without);
@@ -228,7 +228,21 @@ fn of_motion(
             return Ok(prompt);
         }
     }
-    let search = searcher.search_from(base, first, options.thresholds);
+    let quieter = |trial: &Trial| (again.noise > 0).then(|| searcher.quieter(trial)).flatten();
+    let steadier = |trial: &Trial| {
+        let (steadier, drift) = (again.noise > 0).then(|| searcher.steadier(trial)).flatten()?;
+        let said =
+            format!("the force drifts by {:.2} % of its rms over the record: taken out", 100.0 * drift);
+        Some((steadier, vec![said]))
+    };
+    let otherwise = |trial: &Trial| {
+        steadier(trial).or_else(|| hum(trial)).or_else(|| Some((quieter(trial)?, Vec::new())))
+    };
+    let mut search = searcher.search_from((base, first), options.thresholds, otherwise);
+    if let Some((motion, said)) = search.otherwise.take() {
+        parts::done("noise told anew");
+        return of_motion((tests, nominal), options, motion, (findings, [notes, said].concat()), less);
+    }
     let decision = verdict::decide(&search, &searcher, options.thresholds);
     let decision = searcher.reconsidered(decision, &search.base, options.thresholds);
     let mut decision = searcher.by_law(&search, decision, options.thresholds);
@@ -240,24 +254,14 @@ fn of_motion(
             return Ok(prompt);
         }
     }
-    if again.noise > 0
-        && let Some((steadier, drift)) = searcher.steadier(search.best())
-    {
-        notes.push(format!(
-            "the force drifts by {:.2} % of its rms over the record: taken out",
-            100.0 * drift
-        ));
-        return of_motion((tests, nominal), options, steadier, (findings, notes), less);
-    }
-    if let Some((without, said)) = hum(&decision.chosen) {
-        return of_motion((tests, nominal), options, without, (findings, [notes, said].concat()), less);
-    }
     // With less noise what stays unexplained only stands out more.
-    if again.noise > 0
-        && decision.verdict != Verdict::OutsideCatalogue
-        && let Some(quieter) = searcher.quieter(&decision.chosen)
-    {
-        return of_motion((tests, nominal), options, quieter, (findings, notes), less);
+    let less_noise = || {
+        let holds = decision.verdict != Verdict::OutsideCatalogue;
+        holds.then(|| quieter(&decision.chosen)).flatten().map(|quieter| (quieter, Vec::new()))
+    };
+    let at_last = steadier(search.best()).or_else(|| hum(&decision.chosen)).or_else(less_noise);
+    if let Some((motion, said)) = at_last {
+        return of_motion((tests, nominal), options, motion, (findings, [notes, said].concat()), less);
     }
     // Of an explanation that does not hold no numbers are told.
     if decision.verdict != Verdict::OutsideCatalogue {

@@ -70,14 +70,19 @@ const MOST_LEFT: f64 = 0.5;
 const STRENGTH: f64 = 0.3;
 
 impl Searcher<'_> {
-    /// What was decided, or that a law explains it rather.
+    /// What was decided, or that a law explains it rather; where a response is simulated, the shape that ended the search.
     pub(super) fn by_law(&self, search: &Search, decision: Decision, thresholds: Thresholds) -> Decision {
-        let asks = self.motion.kind == Kind::Component && decision.verdict != Verdict::Adequate;
-        if !asks || self.is_enough(&decision.chosen, thresholds) {
+        let component = self.motion.kind == Kind::Component;
+        let asks = match decision.verdict {
+            Verdict::Adequate => false,
+            Verdict::OutsideCatalogue => true,
+            Verdict::Missing | Verdict::Ambiguous => component,
+        };
+        if !asks || component && self.is_enough(&decision.chosen, thresholds) {
             return decision;
         }
-        let with = search.law.clone().or_else(|| self.lawful(&search.base));
-        let Some(with) = with else { return decision };
+        let lawful = || if component { self.lawful(&search.base) } else { None };
+        let Some(with) = search.law.clone().or_else(lawful) else { return decision };
         let (taken, ahead) = (&decision.chosen, verdict::apart(&with, &decision.chosen));
         let explains = with.share_left(&search.base) < MOST_LEFT;
         if !explains || verdict::gain(&with, taken) <= 0.0 || ahead < thresholds.of_shape_instead(taken) {
@@ -170,13 +175,17 @@ impl Law {
 }
 
 /// The law that a trial has in it, as a draft; none where it has none.
-pub fn draft(trial: &Trial, base: &Trial) -> Option<Draft> {
+pub fn draft(trial: &Trial, base: &Trial, searcher: &Searcher<'_>) -> Option<Draft> {
     let is_law = verdict::last_name(trial) == expression::EFFECT.name;
     let last = trial.refit.spec.effects.last().filter(|_| is_law)?;
+    let left = match [trial, base].map(|trial| searcher.over_noise(trial)) {
+        [Some(with), Some(of)] => (with / of).powi(2),
+        _ => trial.force.mean() / base.force.mean().max(1e-300),
+    };
     Some(Draft {
         expression: last.expression.clone()?,
         parameters: last.parameters.clone(),
-        explains: 1.0 - trial.force.mean() / base.force.mean().max(1e-300),
+        explains: 1.0 - left,
     })
 }
 

@@ -12,11 +12,11 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 /// Share of the width of its prior by which a number is moved for its slope.
 const STEP: f64 = 0.1;
 
-/// The force of a trial's effects along the motion, in units of its noise, beside what the base model's numbers can make of a force.
+/// A force along the motion, in units of its noise, beside what the base model's numbers can make of a force.
 pub struct Likeness<'a> {
     problem: &'a Problem<'a>,
     zero_m: f64,
-    /// The trial without its effects, and the residuals that it leaves.
+    /// The model that the force is to be added to, and the residuals that it leaves.
     bare: ModelSpec,
     left: Vec<f64>,
     /// The base model's numbers, their slopes for a move by the width of the prior, and the information of all together.
@@ -36,17 +36,35 @@ struct Followed {
 pub struct Like {
     /// Share of the power of what was found that it has.
     pub share: f64,
-    /// The base model with it, and with its numbers such that both together are most like the trial.
+    /// The model with it, and with its numbers such that both together are most like what was asked.
     pub with: ModelSpec,
 }
 
 impl<'a> Likeness<'a> {
     /// To what the effects of a trial beyond the base model do together; `None` when a model cannot be built.
     pub fn new(problem: &'a Problem<'a>, base: &'a Trial, taken: &Trial) -> Option<Self> {
-        let (numbers, zero_m) = (&base.refit.numbers, taken.refit.zero_m);
+        let zero_m = taken.refit.zero_m;
         let mut bare = taken.refit.spec.clone();
         bare.effects.truncate(base.refit.spec.effects.len());
         let left = residuals(problem, &bare, zero_m)?;
+        let found = force(problem, &taken.refit.spec, zero_m, &left)?;
+        Self::to(found, (problem, zero_m), base, (bare, left))
+    }
+
+    /// To what the base model leaves.
+    pub fn to_what_is_left(problem: &'a Problem<'a>, base: &'a Trial) -> Option<Self> {
+        let (bare, zero_m) = (base.refit.spec.clone(), base.refit.zero_m);
+        let left = residuals(problem, &bare, zero_m)?;
+        Self::to(left.clone(), (problem, zero_m), base, (bare, left))
+    }
+
+    fn to(
+        found: Vec<f64>,
+        (problem, zero_m): (&'a Problem<'a>, f64),
+        base: &'a Trial,
+        (bare, left): (ModelSpec, Vec<f64>),
+    ) -> Option<Self> {
+        let numbers = &base.refit.numbers;
         let slope = |j: usize| {
             let by =
                 DVector::from_fn(numbers.free.len(), |i, _| if i == j { numbers.free[i].scale } else { 0.0 });
@@ -56,7 +74,6 @@ impl<'a> Likeness<'a> {
         let slopes = (0..numbers.free.len()).map(slope).collect::<Option<Vec<Vec<f64>>>>()?;
         // Each number within its prior, in units of whose width it moves.
         let information = (gram(&slopes) + DMatrix::identity(slopes.len(), slopes.len())).cholesky()?;
-        let found = force(problem, &taken.refit.spec, zero_m, &left)?;
         let found = followed(&slopes, &information, found);
         Some(Self { problem, zero_m, bare, left, numbers, slopes, information, found })
     }

@@ -328,7 +328,7 @@ mod tests {
         };
         let finalists = vec![short(&coulomb, 20), short(&stribeck, 1)];
         let first = Stage { finalists, ..Stage::default() };
-        let mut search = Search { base: base.clone(), stages: vec![first], law: None };
+        let mut search = Search { base: base.clone(), stages: vec![first], law: None, otherwise: None };
         // Beside the other the fit finds where it is.
         let near = effect("stribeck-friction", &[("fc_n", 18.0), ("fs_n", 37.0), ("vs_m_s", 0.019)]);
         let faint = effect("coulomb-friction", &[("fc_n", 1.0)]);

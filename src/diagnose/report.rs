@@ -123,10 +123,15 @@ const LEFT: f64 = 1.2;
 impl Diagnosis {
     /// What the re-identified numbers are called: those of a model that lacks something make up for it, and no interval holds then.
     pub fn numbers_title(&self) -> &'static str {
-        if self.verdict == Verdict::OutsideCatalogue && self.error_after > LEFT * self.noise_floor {
-            "Re-identified numbers (they make up for what is missing: no interval holds before the model has that)"
-        } else {
-            "Re-identified numbers"
+        let drafted = || self.ladder.last().is_some_and(|rung| rung.model == "+ expression");
+        match self.verdict {
+            Verdict::OutsideCatalogue if self.error_after > LEFT * self.noise_floor => {
+                "Re-identified numbers (they make up for what is missing: no interval holds before the model has that)"
+            }
+            Verdict::OutsideCatalogue if drafted() => {
+                "Re-identified numbers (beside the drafted force: they hold as far as that is what is missing)"
+            }
+            _ => "Re-identified numbers",
         }
     }
 

@@ -71,9 +71,14 @@ pub struct Search {
     pub base: Trial,
     /// Stages, one effect more each.
     pub stages: Vec<Stage>,
-    /// The base model with a law beside it that the catalogue lacks, where that was tried.
+    /// The base model with a law or a shape beside it that the catalogue lacks, where one was tried that explains the record.
     pub(super) law: Option<Trial>,
+    /// What the first stage said the motion should be taken as in its place; the search ended with that.
+    pub(super) otherwise: Option<Otherwise>,
 }
+
+/// A motion that is to be searched in another's place, and what is to be said of that.
+pub(super) type Otherwise = (Motion, Vec<String>);
 
 /// Everything a search needs to know.
 pub struct Searcher<'a> {
@@ -277,20 +282,21 @@ impl<'a> Searcher<'a> {
 
     /// Adds effects one at a time for as long as a good part of the excess is left and falls.
     pub fn search(&self, base: Trial, thresholds: Thresholds) -> Search {
-        self.search_from(base, None, thresholds)
+        self.search_from((base, None), thresholds, |_| None)
     }
 
-    /// The same where the first stage has been tried.
+    /// The same where the first stage may have been tried, and ended where what explains most after it says that the motion should be
+    /// taken otherwise: the rest of the search would be done again.
     pub(super) fn search_from(
         &self,
-        base: Trial,
-        mut first: Option<Stage>,
+        (base, mut first): (Trial, Option<Stage>),
         thresholds: Thresholds,
+        otherwise: impl Fn(&Trial) -> Option<Otherwise>,
     ) -> Search {
         // A component's force is compared along an imposed motion: nothing but its gain ends the search.
         let component = self.motion.kind == Kind::Component;
         let enough = if component { 0.0 } else { 0.5 * thresholds.left };
-        let mut search = Search { base, stages: Vec::new(), law: None };
+        let mut search = Search { base, stages: Vec::new(), law: None, otherwise: None };
         // Stages that brought something.
         let mut told = 0;
         // Beyond a pair the response explains anything.
@@ -328,6 +334,13 @@ impl<'a> Searcher<'a> {
             parts::done("all again with what was told anew");
             let brings =
                 |stage: &Stage| stage.finalists.iter().any(|trial| verdict::brings(trial, &from, thresholds));
+            if depth == 0 && self.measured.as_ref().is_none_or(|measured| !measured.is_long()) {
+                let best = stage.finalists.first().filter(|best| verdict::brings(best, &from, thresholds));
+                search.otherwise = otherwise(best.unwrap_or(&from));
+                if search.otherwise.is_some() {
+                    break;
+                }
+            }
             // Where the best leaves much, or nothing brings anything.
             if (stage.finalists.first().is_none_or(Trial::leaves_much) || depth == 0 && !brings(&stage))
                 && let Some(back) = self.brought_back(&from)
@@ -352,12 +365,13 @@ impl<'a> Searcher<'a> {
             self.merge(&mut stage, &mut search);
             let mut gained = brings(&stage);
             // What a law explains, or a shape, needs no second effect.
-            let lawful = depth == 0
-                && if component {
-                    self.is_lawful(&mut search, &stage, thresholds)
-                } else {
-                    self.is_shaped(&search.base, &stage, thresholds)
-                };
+            let mut lawful = false;
+            if depth == 0 && component {
+                lawful = self.is_lawful(&mut search, &stage, thresholds);
+            } else if depth == 0 {
+                search.law = self.shaped_alone(&search.base, &stage, thresholds);
+                lawful = search.law.is_some();
+            }
             // What two bring together neither may bring alone: play where the force has an offset.
             if component
                 && !(gained || lawful)

@@ -51,12 +51,17 @@ const AGAIN: usize = 8;
 const SHORT: Settings = Settings { iterations: 3, tolerance: 1e-6, difference: 1e-3 };
 const LONG: Settings = Settings { iterations: 6, ..SHORT };
 
+/// Amplitude over the typical force, for first order.
+const FAINT: f64 = 1e-3;
+
 /// Typical change of its amplitude, over the one that first order has.
 const TYPICAL: f64 = 3.0;
 
 /// Even and odd powers of displacement and velocity, a root of the velocity, and their products, waves over displacement, forces of one
 /// side, friction in places, slow changes, and forces over a bumper's penetration.
-const SHAPES: [&str; 27] = [
+const SHAPES: [&str; 29] = [
+    "f*max(d/dm, 0)",
+    "f*max(v/vm, 0)",
     "f*(d/dm)^2",
     "f*(d/dm)*abs(d/dm)",
     "f*max(d/dm, 0)^2",
@@ -98,21 +103,22 @@ impl Searcher<'_> {
         Shaped { beside, instead: instead.map_or(f64::NEG_INFINITY, |(_, ahead)| ahead) }
     }
 
-    /// Whether a shape leaves nothing of a record but noise, which no first effect does, and is ahead of each of those as one has to be that
-    /// stands in their place: what pairs would make of such a force takes minutes and is refused for the shape.
-    pub(super) fn is_shaped(&self, base: &Trial, first: &Stage, thresholds: Thresholds) -> bool {
-        let leaves_nothing = |trial: &Trial| trial.response.is_some() && trial.excess() <= trial.chance();
+    /// The base model with a shape that leaves nothing of a record but noise, which no first effect does, and is ahead of each of those as one
+    /// has to be that stands in their place: what pairs would make of such a force takes minutes and is refused for the shape.
+    pub(super) fn shaped_alone(&self, base: &Trial, first: &Stage, thresholds: Thresholds) -> Option<Trial> {
+        let at_noise = |trial: &Trial| {
+            self.over_noise(trial).is_some_and(|times| times <= thresholds.most_over_noise(self.motion))
+        };
+        // At few samples a cycle neighbours may have nothing in common of what is far above the noise.
+        let leaves_nothing =
+            |trial: &Trial| trial.response.is_some() && trial.excess() <= trial.chance() && at_noise(trial);
         let best = first.finalists.iter().fold(base, verdict::better);
         if best.names.is_empty() || leaves_nothing(best) {
-            return false;
+            return None;
         }
-        let instead = self.shape_instead(base, best, thresholds);
-        instead.is_some_and(|(shaped, ahead)| {
-            let times = self.over_noise(&shaped);
-            ahead > thresholds.of_shape_instead(best)
-                && leaves_nothing(&shaped)
-                && times.is_some_and(|times| times <= thresholds.most_over_noise(self.motion))
-        })
+        let (shaped, ahead) = self.shape_instead(base, best, thresholds)?;
+        let alone = ahead > thresholds.of_shape_instead(best) && leaves_nothing(&shaped);
+        alone.then_some(shaped)
     }
 
     /// What a shape beside a trial brings to the steps of the fit when it is fitted, nothing where those held out speak against it.
@@ -158,7 +164,7 @@ impl Searcher<'_> {
     }
 
     /// The shape on the base model that does best, and how much better than the effects that were taken: the one that brings most there
-    /// to first order, or the one most like what they do together.
+    /// to first order, the one most like what they do together, or, where that model is far off, the one that the force tells.
     fn shape_instead(&self, base: &Trial, taken: &Trial, thresholds: Thresholds) -> Option<(Trial, f64)> {
         let several = taken.names.len() >= SEVERAL;
         let most = self.shape_left(base, thresholds);
@@ -166,13 +172,14 @@ impl Searcher<'_> {
         let most = most.map(|shape| (shape.expression, shape.with));
         let like = if several { self.shape_like(base, taken) } else { None };
         let like = like.filter(|like| most.as_ref().is_none_or(|most| most.0 != like.0));
+        let by_force = if base.is_far() { self.shape_by_the_force(base) } else { None };
         let ahead = |(expression, with): (String, ModelSpec)| {
             let doubt = doubt(&expression, taken.response.as_ref()?, thresholds);
             let fitted = self.fitted_instead(base, taken, with)?;
             let ahead = verdict::apart(&fitted, taken) - doubt;
             Some((fitted, ahead))
         };
-        [most, like].into_iter().flatten().filter_map(ahead).max_by(|a, b| a.1.total_cmp(&b.1))
+        [most, like, by_force].into_iter().flatten().filter_map(ahead).max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// A shape beside the base model, fitted for as long as it may come to be better than what was taken.
@@ -190,11 +197,23 @@ impl Searcher<'_> {
 
     /// The shape most like what the effects of a trial do together; none where no shape is much like it.
     fn shape_like(&self, base: &Trial, taken: &Trial) -> Option<(String, ModelSpec)> {
-        let likeness = Likeness::new(&self.screening, base, taken)?;
-        let like = |start: EffectSpec| Some((likeness.of(&start, grown)?, start.expression?));
-        let scales = candidates::scales(&taken.refit.spec, self.motion);
-        let most = usable(&scales).filter_map(like).max_by(|a, b| a.0.share.total_cmp(&b.0.share));
-        most.filter(|(like, _)| like.share > LIKE).map(|(like, expression)| (expression, like.with))
+        let (share, shape) = self.most_like(&Likeness::new(&self.screening, base, taken)?, base)?;
+        (share > LIKE).then_some(shape)
+    }
+
+    /// The shape most like the force that the base model leaves along the measured motion.
+    fn shape_by_the_force(&self, base: &Trial) -> Option<(String, ModelSpec)> {
+        Some(self.most_like(&Likeness::to_what_is_left(&self.screening, base)?, base)?.1)
+    }
+
+    /// The shape that has most of a force, its share of it, and the model with it.
+    fn most_like(&self, likeness: &Likeness<'_>, base: &Trial) -> Option<(f64, (String, ModelSpec))> {
+        let scales = candidates::scales(&base.refit.spec, self.motion);
+        let like = |start: EffectSpec| {
+            let like = likeness.of(&start, grown)?;
+            Some((like.share, (start.expression?, like.with)))
+        };
+        usable(&scales).filter_map(like).max_by(|a, b| a.0.total_cmp(&b.0))
     }
 
     /// A trial with a shape beside it, whose amplitude is to be fitted along with the trial's own numbers.
@@ -233,7 +252,7 @@ fn grown(start: &EffectSpec, factor: f64) -> Option<EffectSpec> {
 /// A shape of small amplitude.
 fn faint(expression: &'static str, scales: &Scales) -> EffectSpec {
     let all = [
-        ("f", 1e-3 * scales.force_n),
+        ("f", FAINT * scales.force_n),
         ("dm", scales.displacement_m),
         ("vm", scales.velocity_m_s),
         ("tm", scales.duration_s),

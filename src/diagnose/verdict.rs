@@ -152,7 +152,7 @@ pub fn decide(search: &Search, searcher: &Searcher<'_>, thresholds: Thresholds) 
     }
     let (left, of_base) = what_is_left(&taken, base, searcher);
     let verdict = if taken.response.is_some() {
-        by_response(&taken, base, searcher, &ambiguous_with, thresholds)
+        by_response(&taken, search, searcher, &ambiguous_with, thresholds)
     } else {
         by_force(&taken, (left, of_base), searcher, &ambiguous_with, thresholds)
     };
@@ -221,11 +221,12 @@ fn by_force(
 /// The verdict where the simulated response decides.
 fn by_response(
     taken: &Trial,
-    base: &Trial,
+    search: &Search,
     searcher: &Searcher<'_>,
     ambiguous_with: &[String],
     thresholds: Thresholds,
 ) -> Verdict {
+    let base = &search.base;
     let [deviations, share] = thresholds.beside;
     let beyond_chance = taken.excess() > deviations * taken.chance() && taken.share_left(base) > share;
     let told_by_structure = taken.excess() > thresholds.structure || !taken.names.is_empty() && beyond_chance;
@@ -234,6 +235,9 @@ fn by_response(
     };
     // Shapes are asked only where the residuals themselves do not tell.
     let told_by_shape = || {
+        if search.law.is_some() {
+            return true;
+        }
         let shaped = searcher.shaped(base, taken, thresholds);
         shaped.beside > thresholds.of_shape(taken) || shaped.instead > thresholds.of_shape_instead(taken)
     };
@@ -445,20 +449,25 @@ fn weigh(
     }
 }
 
+/// Excess of the base model, in units of the noise, of which no share is told.
+const NO_EXCESS: f64 = 1e-3;
+
 fn refuse(trial: &Trial, against: &Trial, base: &Trial, why: &str) -> Refused {
     let nats = if let Some(nats) = by_all_steps(against, trial) {
         format!("{nats:.1} nats apart, both fitted to all steps")
     } else {
         let on_the_fit = against.training_gain(trial);
-        format!("{:.1} nats apart there, {on_the_fit:.1} on the steps of the fit", gain(against, trial))
+        let held_out = gain(against, trial);
+        format!("{held_out:.1} nats apart on held-out steps, {on_the_fit:.1} on the steps of the fit")
     };
     let [left, left_kept] = [trial, against].map(|of| 100.0 * of.share_left(base));
-    Refused {
-        name: last_name(trial),
-        reason: format!(
-            "{why}: leaves {left:.1} % of the excess on held-out steps ({left_kept:.1} % with what was kept; {nats})"
-        ),
-    }
+    // At few samples a cycle the base model's residuals may show none.
+    let shares = if base.excess() > NO_EXCESS {
+        format!("leaves {left:.1} % of the excess ({left_kept:.1} % with what was kept), ")
+    } else {
+        String::new()
+    };
+    Refused { name: last_name(trial), reason: format!("{why}: {shares}{nats}") }
 }
 
 /// Why a trial that does not bring enough was not taken.
