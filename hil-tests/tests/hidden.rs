@@ -51,6 +51,7 @@ fn a_missing_effect_is_named_and_the_held_out_error_falls() {
 }
 
 #[test]
+#[ignore = "minutes: `./test blind`"]
 fn a_hysteresis_of_another_sharpness_than_it_is_first_taken_for_is_named_alone() {
     // Iwan's was far enough ahead of one with the usual sharpness that no other was tried, and the pair of both named.
     sharpness_is_told(10_080_008, 1.613);
@@ -78,14 +79,8 @@ fn sharpness_is_told(seed: u64, sharpness: f64) {
 #[test]
 fn what_others_hide_is_tried() {
     // To first order, four hysteretic and damping effects do better than a friction of less than a tenth of a newton; three of those come
-    // within 6 nats once their fits arrive, and are told apart by the steps that the search has no room for. A preload brings 80 nats, of
-    // which noise takes three on the held-out steps. A damping that grows with penetration brings 24, of which first order saw one: a
-    // bumper's own makes up for all but a thousandth of what it changes.
-    are_named(&[
-        (10_091_004, "coulomb-friction", 0.05, Verdict::Missing),
-        (10_097_309, "bumper-preload", 0.02, Verdict::Missing),
-        (10_112_509, "hunt-crossley-damping", 0.05, Verdict::Missing),
-    ]);
+    // within 6 nats once their fits arrive, and are told apart by the steps that the search has no room for.
+    are_named(&[(10_091_004, "coulomb-friction", 0.05, Verdict::Missing)]);
 }
 
 #[test]
@@ -93,8 +88,11 @@ fn what_others_hide_is_tried() {
 fn what_hides_otherwise_is_tried() {
     // A yaw shows between the accelerometers at a frequency that their mean has nothing of; a stand under soft bumpers rings at 8 Hz; a knee
     // that went to 5 mm, although 8 are given, hides that the isolator softens. A cubic stiffness brings 13 nats on the steps of the fit, and
-    // noise takes half a one on those held out.
+    // noise takes half a one on those held out. A preload brings 80 nats, of which noise takes three on the held-out steps. A damping that
+    // grows with penetration brings 24, of which first order saw one: a bumper's own makes up for all but a thousandth of what it changes.
     are_named(&[
+        (10_097_309, "bumper-preload", 0.02, Verdict::Missing),
+        (10_112_509, "hunt-crossley-damping", 0.05, Verdict::Missing),
         (10_086_093, "yaw-rotation", 0.05, Verdict::Missing),
         (10_097_509, "stand-compliance", 0.05, Verdict::Missing),
         (10_099_037, "cubic-stiffness", 0.05, Verdict::Missing),
@@ -148,17 +146,23 @@ fn a_late_laser_is_an_instrument_and_no_physics() {
 #[test]
 fn a_yaw_leaves_nothing_in_the_mean_and_hides_no_gain() {
     // Divided by gains that the mode had posed as, the accelerometers had kept some of it in their mean: a stand that is not there.
-    let case = hidden::make(&Recipe::of(10_108_401, &["yaw-rotation"], 0.12)).expect("a record");
-    let names = |record: &Record| {
-        let found = diagnose(record, &case.nominal, &Options::default()).expect("a sound record");
-        (found.verdict, found.effects.into_iter().map(|effect| effect.name).collect::<Vec<_>>())
-    };
-    assert_eq!(names(&case.record), (Verdict::Missing, vec!["yaw-rotation".to_owned()]));
-    let mut off = case.record.clone();
-    off.mass_acceleration_1_m_s2.iter_mut().for_each(|a| *a *= 1.02);
-    let (verdict, mut both) = names(&off);
-    both.sort();
-    assert_eq!((verdict, both), (Verdict::Missing, vec!["accelerometer-gain".into(), "yaw-rotation".into()]));
+    beside_a_yaw(Some(1.02), &["accelerometer-gain", "yaw-rotation"]);
+}
+
+#[test]
+#[ignore = "minutes: `./test blind`"]
+fn a_yaw_alone_leaves_nothing_in_the_mean() {
+    beside_a_yaw(None, &["yaw-rotation"]);
+}
+
+/// What is named on the record of a mass that yaws, its first accelerometer of such a gain.
+fn beside_a_yaw(gain: Option<f64>, expected: &[&str]) {
+    let mut case = hidden::make(&Recipe::of(10_108_401, &["yaw-rotation"], 0.12)).expect("a record");
+    case.record.mass_acceleration_1_m_s2.iter_mut().for_each(|a| *a *= gain.unwrap_or(1.0));
+    let found = diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record");
+    let mut named = hil_tests::named(&found);
+    named.sort_unstable();
+    assert_eq!((found.verdict, named.as_slice()), (Verdict::Missing, expected));
 }
 
 #[test]
@@ -180,6 +184,7 @@ fn records_of_two_gaps_are_diagnosed_together() {
 /// What a slow sweep was to part: the one step at resonance, held out, put a Bouc-Wen element ten nats before the Iwan element that is
 /// there, whose numbers the other steps leave open.
 #[test]
+#[ignore = "minutes: `./test blind`"]
 fn which_of_two_it_is_is_told_by_all_steps() {
     let first = hidden::make(&Recipe::of(10_114_105, &["iwan-hysteresis"], 0.01)).expect("reaches its size");
     let test = SweepProposal {
@@ -241,18 +246,17 @@ fn told_outside_as_a_surface(seed: u64, which: usize) {
 
 #[test]
 fn a_force_that_two_effects_make_up_for_is_outside_the_catalogue() {
-    // A damping that grows with the cube of velocity: one shape does better than every pair, the one of a square and a friction among
-    // them that takes a quarter of the velocities to turn round. One that grows with its root, of which a square and a friction make much.
-    for (seed, which) in [(10_097_103, 3), (10_113_390, 6)] {
-        told_outside(seed, which);
-    }
+    // One that grows with the root of velocity, of which a square and a friction make much.
+    told_outside(10_113_390, 6);
 }
 
 #[test]
 #[ignore = "minutes: `./test blind`"]
 fn a_force_that_two_effects_nearly_make_up_for_is_outside_the_catalogue() {
-    // As the one before, by 9 nats; and one of which the base model is so far off that first order takes another shape for it.
-    [10_112_307, 10_113_315].into_iter().for_each(|seed| told_outside(seed, 3));
+    // A damping that grows with the cube of velocity: one shape does better than every pair, the one of a square and a friction among them
+    // that takes a quarter of the velocities to turn round; by 9 nats; and one of which the base model is so far off that first order takes
+    // another shape for it.
+    [10_097_103, 10_112_307, 10_113_315].into_iter().for_each(|seed| told_outside(seed, 3));
 }
 
 fn told_outside(seed: u64, which: usize) {
@@ -261,6 +265,7 @@ fn told_outside(seed: u64, which: usize) {
 }
 
 #[test]
+#[ignore = "minutes: `./test blind`"]
 fn a_faint_damping_stands_before_a_hysteresis_that_does_nearly_as_well() {
     let found = case(10_097_320, &["quadratic-damping"], 0.02);
     let named = hil_tests::named(&found);
@@ -296,13 +301,13 @@ fn a_record_driven_by_noise_is_judged_as_one_of_steps_is() {
 
 #[test]
 fn one_sensor_of_the_mass_is_enough() {
-    are_enough(&[Sensors::AccelerometerAlone, Sensors::LaserAlone]);
+    are_enough(&[Sensors::LaserAlone]);
 }
 
 #[test]
 #[ignore = "minutes: `./test blind`"]
-fn one_accelerometer_and_the_laser_are_enough() {
-    are_enough(&[Sensors::OneAccelerometer]);
+fn one_accelerometer_alone_or_with_the_laser_is_enough() {
+    are_enough(&[Sensors::AccelerometerAlone, Sensors::OneAccelerometer]);
 }
 
 /// With such sensors a healthy record is adequate, and a missing effect is named.
@@ -345,6 +350,7 @@ fn a_gain_is_told_by_the_response_where_the_kinematics_leave_it_open() {
 }
 
 #[test]
+#[ignore = "minutes: `./test blind`"]
 fn the_noise_of_a_scaled_accelerometer_is_scaled_with_it() {
     let found = case(9_610_016, &["accelerometer-gain"], 0.12);
     let names = hil_tests::named(&found);

@@ -93,6 +93,7 @@ mod tests {
     use crate::model::testing::{b1_g2, effect};
 
     #[test]
+    #[ignore = "minutes: `./test blind`"]
     fn friction_that_falls_as_tustin_has_it_is_stribecks_with_its_exponent() {
         let nominal = ModelSpec { bumper: None, ..b1_g2() };
         let mut truth = nominal.clone();

@@ -359,6 +359,7 @@ mod tests {
     }
 
     #[test]
+    #[ignore = "minutes: `./test blind`"]
     fn friction_that_turns_round_smoothly_is_no_stribeck_friction() {
         let mut truth = b1_g2();
         truth.isolator.damping_n_s_m = 1180.0;
@@ -420,6 +421,7 @@ mod tests {
     }
 
     #[test]
+    #[ignore = "minutes: `./test blind`"]
     fn limits_hold_although_a_shape_was_left_out() {
         let mut truth = b1_g2();
         let shape = [("kh_n_m", 1400.0), ("dy_m", 7e-4), ("n", 1.45), ("beta", 0.67), ("gamma", 0.33)];
