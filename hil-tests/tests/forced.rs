@@ -166,6 +166,7 @@ fn dry_friction_of_an_axis_that_nothing_holds_is_named() {
 }
 
 #[test]
+#[ignore = "minutes: `./test blind`"]
 fn what_friction_does_beside_a_weight_is_no_lag_of_the_force() {
     let body = Body { constant_n: 3.2, ..AXIS };
     // Someone who knows nothing of a spring gives one of which nothing is known.
@@ -184,6 +185,7 @@ fn what_friction_does_beside_a_weight_is_no_lag_of_the_force() {
 }
 
 #[test]
+#[ignore = "minutes: `./test blind`"]
 fn a_hysteresis_that_grows_stiffer_as_it_is_loaded_is_named_with_its_numbers() {
     let [mass_kg, stiffness_n_m, damping_n_s_m, own, loaded, unloaded] = STIFFENING;
     // What is measured of it beforehand holds both springs.
