@@ -235,7 +235,8 @@ fn by_response(
     };
     // Shapes are asked only where the residuals themselves do not tell.
     let told_by_shape = || {
-        if search.law.is_some() {
+        // In place of an effect a shape has been asked already; beside the base model more is asked of it.
+        if search.law.is_some() && !taken.names.is_empty() {
             return true;
         }
         let shaped = searcher.shaped(base, taken, thresholds);
