@@ -146,19 +146,19 @@ fn a_late_laser_is_an_instrument_and_no_physics() {
 #[test]
 fn a_yaw_leaves_nothing_in_the_mean_and_hides_no_gain() {
     // Divided by gains that the mode had posed as, the accelerometers had kept some of it in their mean: a stand that is not there.
-    beside_a_yaw(Some(1.02), &["accelerometer-gain", "yaw-rotation"]);
+    beside_a_yaw(1.02, &["accelerometer-gain", "yaw-rotation"]);
 }
 
 #[test]
 #[ignore = "minutes: `./test blind`"]
 fn a_yaw_alone_leaves_nothing_in_the_mean() {
-    beside_a_yaw(None, &["yaw-rotation"]);
+    beside_a_yaw(1.0, &["yaw-rotation"]);
 }
 
 /// What is named on the record of a mass that yaws, its first accelerometer of such a gain.
-fn beside_a_yaw(gain: Option<f64>, expected: &[&str]) {
+fn beside_a_yaw(gain: f64, expected: &[&str]) {
     let mut case = hidden::make(&Recipe::of(10_108_401, &["yaw-rotation"], 0.12)).expect("a record");
-    case.record.mass_acceleration_1_m_s2.iter_mut().for_each(|a| *a *= gain.unwrap_or(1.0));
+    case.record.mass_acceleration_1_m_s2.iter_mut().for_each(|a| *a *= gain);
     let found = diagnose(&case.record, &case.nominal, &Options::default()).expect("a sound record");
     let mut named = hil_tests::named(&found);
     named.sort_unstable();
@@ -246,16 +246,16 @@ fn told_outside_as_a_surface(seed: u64, which: usize) {
 
 #[test]
 fn a_force_that_two_effects_make_up_for_is_outside_the_catalogue() {
-    // One that grows with the root of velocity, of which a square and a friction make much.
+    // A damping that grows with the root of velocity, of which a square and a friction make much.
     told_outside(10_113_390, 6);
 }
 
 #[test]
 #[ignore = "minutes: `./test blind`"]
 fn a_force_that_two_effects_nearly_make_up_for_is_outside_the_catalogue() {
-    // A damping that grows with the cube of velocity: one shape does better than every pair, the one of a square and a friction among them
-    // that takes a quarter of the velocities to turn round; by 9 nats; and one of which the base model is so far off that first order takes
-    // another shape for it.
+    // A damping that grows with the cube of velocity. One shape does better than every pair, the one of a square and a friction among them
+    // that takes a quarter of the velocities to turn round; in the second record by 9 nats. Of the third the base model is so far off that
+    // first order takes another shape for it.
     [10_097_103, 10_112_307, 10_113_315].into_iter().for_each(|seed| told_outside(seed, 3));
 }
 

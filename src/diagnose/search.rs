@@ -71,7 +71,8 @@ pub struct Search {
     pub base: Trial,
     /// Stages, one effect more each.
     pub stages: Vec<Stage>,
-    /// The base model with a law or a shape beside it that the catalogue lacks, where one was tried that explains the record.
+    /// The base model with a law beside it that the catalogue lacks, where that was tried; where a response is simulated, with a shape, if one
+    /// leaves nothing of the record.
     pub(super) law: Option<Trial>,
     /// What the first stage said the motion should be taken as in its place; the search ended with that.
     pub(super) otherwise: Option<Otherwise>,
