@@ -11,7 +11,7 @@ use super::trial::{self, Response, Trial};
 use super::{candidates, verdict};
 use crate::identify::least_squares::Settings;
 use crate::identify::problem::Part;
-use crate::identify::response::{self, Laid, PROMISED};
+use crate::identify::response::{self, Laid, Measured, PROMISED};
 use crate::model::effects::expression;
 use crate::model::{EffectSpec, ModelSpec, Scales};
 
@@ -173,6 +173,10 @@ impl Searcher<'_> {
         let like = if several { self.shape_like(base, taken) } else { None };
         let like = like.filter(|like| most.as_ref().is_none_or(|most| most.0 != like.0));
         let by_force = if base.is_far() { self.shape_by_the_force(base) } else { None };
+        // A long record brings a shape to one place from wherever it starts.
+        let long = self.measured.as_ref().is_some_and(Measured::is_long);
+        let told = |shape: &(String, ModelSpec)| most.as_ref().is_some_and(|most| most.0 == shape.0);
+        let by_force = by_force.filter(|shape| !(long && told(shape)));
         let ahead = |(expression, with): (String, ModelSpec)| {
             let doubt = doubt(&expression, taken.response.as_ref()?, thresholds);
             let fitted = self.fitted_instead(base, taken, with)?;

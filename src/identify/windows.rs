@@ -10,8 +10,9 @@ use std::ops::Range;
 
 /// Steady steps below which a record is cut into equal parts.
 const FEWEST_STEPS: usize = 4;
-/// Cycles of a step that count, and that warm it up.
+/// Cycles of a step that count, fewer in a record of very many samples, and that warm it up.
 const COUNTED: f64 = 4.0;
+const FEWEST_COUNTED: f64 = 2.0;
 const WARM: f64 = 3.0;
 /// Cycles that count at most in each part of a record of an applied force without steps.
 const CYCLES_OF_A_PART: f64 = 10.0;
@@ -136,19 +137,22 @@ fn farthest(record: &Record, motion: &Motion, steady: &[Window]) -> Option<Windo
     Some(Window { warm_from, range: start..end, settling: true, held_out: false, ..two[1].clone() })
 }
 
-/// The last whole cycles of a step, at least four and more where they are as steady (half of a shorter step), warmed up by three
-/// before.
+/// The last whole cycles of a step, at least four and more where they are as steady (half of a shorter step; two of a whole sweep), warmed
+/// up by three before.
 fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
     let rate = motion.sample_rate_hz;
     let input = &motion.drive_m_s2;
     let frequency_hz = step_cycles_hz(motion.kind, &input[range.clone()], rate)?;
     let cycle = rate / frequency_hz;
     let cycles = (range.len() as f64 / cycle).floor();
-    let mut counted = if cycles >= COUNTED + WARM { COUNTED } else { (cycles / 2.0).floor() };
+    // A record of so many samples tells as much by few cycles of each step as by many of few steps.
+    let room = MOST * SHORT / motion.displacement_m.len() as f64;
+    let asked = room.ceil().clamp(FEWEST_COUNTED, COUNTED);
+    let mut counted = if cycles >= COUNTED + WARM { asked } else { (cycles / 2.0).floor().min(asked) };
     if counted < 1.0 {
         return None;
     }
-    let most = (MOST * SHORT / motion.displacement_m.len() as f64).min(MOST).min(cycles - WARM);
+    let most = room.min(MOST).min(cycles - WARM);
     let back = |count: f64| range.end - (count * cycle).round() as usize;
     let channels = [input, &motion.displacement_m];
     let from_here = back(counted);
@@ -159,7 +163,7 @@ fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
             (phasor(&channel[from..to], cycle) * turned - last).norm() < STEADY * last.norm()
         })
     };
-    while counted >= COUNTED && counted + 1.0 <= most && like_the_last(back(counted + 1.0), back(counted)) {
+    while counted >= asked && counted + 1.0 <= most && like_the_last(back(counted + 1.0), back(counted)) {
         counted += 1.0;
     }
     let start = back(counted);

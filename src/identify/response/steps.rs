@@ -8,6 +8,8 @@ use std::sync::{Arc, RwLock};
 
 /// Samples of a record that are simulated at most in one evaluation; steps are left out evenly beyond it.
 const SAMPLES: usize = 75_000;
+/// The same of a very long record, of whose steps fewer cycles count.
+const SAMPLES_OF_VERY_LONG: usize = 50_000;
 /// The same where near rivals are told apart by all steps, for each record.
 const SAMPLES_IN_ALL: usize = 400_000;
 /// A record of more samples (records together: of so many times more) tells enough by a part of its steps where candidates are
@@ -17,12 +19,14 @@ const LONG: usize = 360_000;
 /// Numbers of the windows that are fitted, of those that judge, and of those that there is no room for in either.
 pub(super) fn of(motion: &Motion) -> [Vec<usize>; 3] {
     let struck = struck(motion, &motion.windows);
+    let room =
+        if is_very_long(motion) { SAMPLES_OF_VERY_LONG } else { SAMPLES } * motion.sources.len().max(1);
     let part = |held_out: bool| -> Vec<usize> {
         let all: Vec<usize> =
             (0..motion.windows.len()).filter(|k| motion.windows[*k].held_out == held_out).collect();
         // A record alone keeps one of so many; records together all that there is room for, since a little too much of them would
         // leave out half of what the last one was recorded for.
-        let times = simulated(motion, &all) as f64 / (SAMPLES * motion.sources.len().max(1)) as f64;
+        let times = simulated(motion, &all) as f64 / room as f64;
         let as_many_as_fit = motion.sources.len() > 1 || motion.kind == Kind::Force;
         let share = 1.0 / if as_many_as_fit { times.max(1.0) } else { times.ceil().max(1.0) };
         // Of a whole sweep the one in which the mass goes farthest tells what none of the few does that are left.
@@ -59,6 +63,11 @@ fn is_long(motion: &Motion) -> bool {
     motion.displacement_m.len() > LONG * motion.sources.len().max(1)
 }
 
+/// Whether it is a whole sweep, of whose steps two cycles count.
+fn is_very_long(motion: &Motion) -> bool {
+    motion.displacement_m.len() > 2 * LONG * motion.sources.len().max(1)
+}
+
 impl Measured<'_> {
     /// The same with every so many steps of training alone, for fits that sort out.
     pub fn every(&self, steps: usize) -> Self {
@@ -93,6 +102,11 @@ impl Measured<'_> {
     /// Whether a part of the steps is enough to sort out.
     pub fn is_long(&self) -> bool {
         is_long(self.motion)
+    }
+
+    /// Whether few samples of each step count, since there are so many steps.
+    pub fn is_very_long(&self) -> bool {
+        is_very_long(self.motion)
     }
 
     /// Whether the record has no steps.

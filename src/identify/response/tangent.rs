@@ -9,7 +9,7 @@ use crate::identify::problem::Part;
 use crate::model::{EffectSpec, ModelSpec, effects};
 use nalgebra::{DMatrix, DVector};
 
-/// So many samples tell enough for first order.
+/// So many samples tell enough for first order; half of them of a long record, a quarter of a very long one.
 const TOLD: usize = 80_000;
 /// Every so many of the steps tell how large a change is.
 const GLANCE: usize = 4;
@@ -39,7 +39,12 @@ impl<'a> Measured<'a> {
     ) -> Option<Tangent<'b, 'a>> {
         // Of a long record a part tells enough.
         let samples: usize = self.training.iter().map(|k| self.motion.windows[*k].range.len()).sum();
-        let thinned = samples.div_ceil(if self.is_long() { TOLD / 2 } else { TOLD }).max(1);
+        let told = match (self.is_long(), self.is_very_long()) {
+            (_, true) => TOLD / 4,
+            (true, false) => TOLD / 2,
+            (false, false) => TOLD,
+        };
+        let thinned = samples.div_ceil(told).max(1);
         let mut laid = laid.clone();
         laid.nuisances = laid.nuisances.into_iter().step_by(thinned).collect();
         self.every(thinned).linear(spec, numbers, laid, thinned)
