@@ -34,7 +34,7 @@ impl Fused {
     pub(super) fn of_ramps(ramps: Ramps) -> Self {
         Self {
             acceleration_m_s2: vec![0.0; ramps.displacement_m.len()],
-            velocity_is_told: vec![true; ramps.displacement_m.len()],
+            velocity_is_told: ramps.velocity_is_told,
             is_held: Vec::new(),
             acceleration_noise_m_s2: 0.0,
             displacement_m: ramps.displacement_m,

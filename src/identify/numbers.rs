@@ -84,10 +84,14 @@ impl Numbers {
             }
             out.relative("bumper.total_gap_m", bumper.total_gap_m, u.total_gap_m.unwrap_or(0.02));
         }
-        // A driven mass may have neither (an axis that nothing holds).
-        if kind == Kind::Force {
-            out.free.iter_mut().for_each(|free| let_vanish(free, &[SPRING, DASHPOT]));
-        }
+        // A driven mass may have neither (an axis that nothing holds), a component no spring (a friction device), a mass on a moving base no
+        // dashpot (a pendulum that slides).
+        let vanish: &[&str] = match kind {
+            Kind::Force => &[SPRING, DASHPOT],
+            Kind::Component => &[SPRING],
+            Kind::Base => &[DASHPOT],
+        };
+        out.free.iter_mut().for_each(|free| let_vanish(free, vanish));
         out
     }
 

@@ -7,6 +7,8 @@ pub(super) struct Ramps {
     /// Sample by sample.
     pub(super) displacement_m: Vec<f64>,
     pub(super) velocity_m_s: Vec<f64>,
+    /// Whether that is known: not beside corners that are round.
+    pub(super) velocity_is_told: Vec<bool>,
     /// What the noise of the sensor leaves of both, rms.
     pub(super) displacement_noise_m: f64,
     pub(super) velocity_noise_m_s: f64,
@@ -22,6 +24,10 @@ const OTHER: f64 = 4.0;
 /// What straight parts may leave over the noise of the sensor, rms; and the mean of a quarter of a part over what chance makes of it, rms.
 const LEFT: f64 = 1.15;
 const BENT: f64 = 1.3;
+/// Deviations from which on the samples beside all corners are off the lines in their mean: nothing turns at once.
+const ROUND: f64 = 4.0;
+/// Share of the samples beside round corners, at most.
+const MOST_ROUND: f64 = 0.15;
 /// Rounds in which corners are told by the lines on both of their sides.
 const ROUNDS: usize = 4;
 
@@ -142,37 +148,75 @@ fn sharper(seen_m: &[f64], noise_m: f64, corners: Vec<f64>) -> Option<Vec<f64>> 
     sharp.is_sorted().then_some(sharp)
 }
 
-/// The motion along lines between corners, where they leave nothing but noise.
+/// The motion along lines between corners, where they leave nothing but noise away from those.
 fn laid(seen_m: &[f64], noise_m: f64, rate_hz: f64, corners: &[f64]) -> Option<Ramps> {
     let n = seen_m.len();
     let (mut displacement_m, mut velocity_m_s) = (Vec::with_capacity(n), Vec::with_capacity(n));
-    let (mut left, mut bent, mut quarters) = (0.0, 0.0, 0_usize);
+    let (mut off_m, mut slopes_m) = (Vec::with_capacity(n), Vec::with_capacity(corners.len()));
+    let mut ends = Vec::with_capacity(corners.len());
     let (mut of_place, mut of_slope) = (0.0, 0.0);
-    for (k, ends) in corners.windows(2).enumerate() {
-        let line = Line::through(seen_m, noise_m, (ends[0], ends[1]));
+    for (k, part) in corners.windows(2).enumerate() {
+        let line = Line::through(seen_m, noise_m, (part[0], part[1]));
         let first = displacement_m.len();
-        let end = if k + 2 < corners.len() { (ends[1].ceil() as usize).clamp(first, n) } else { n };
-        let off: Vec<f64> = (first..end).map(|i| seen_m[i] - line.at(i as f64)).collect();
+        let end = if k + 2 < corners.len() { (part[1].ceil() as usize).clamp(first, n) } else { n };
+        off_m.extend((first..end).map(|i| seen_m[i] - line.at(i as f64)));
         displacement_m.extend((first..end).map(|i| line.at(i as f64)));
         velocity_m_s.extend((first..end).map(|_| line.slope_m * rate_hz));
+        of_place += 2.0 * noise_m.powi(2);
+        of_slope += (end - first) as f64 * (line.slope_sigma_m * rate_hz).powi(2);
+        slopes_m.push(line.slope_m);
+        ends.push(first..end);
+    }
+    let velocity_is_told = away_from_round(&off_m, noise_m, corners, &slopes_m);
+    let (mut left, mut told, mut bent, mut quarters) = (0.0, 0_usize, 0.0, 0_usize);
+    for part in ends {
+        let off: Vec<f64> = part.filter(|i| velocity_is_told[*i]).map(|i| off_m[i]).collect();
         left += off.iter().map(|x| x * x).sum::<f64>();
+        told += off.len();
         let quarter = off.len() / 4;
         if quarter > 1 {
             let square = |of: &[f64]| of.iter().sum::<f64>().powi(2) / of.len() as f64;
             bent += off.chunks_exact(quarter).take(4).map(square).sum::<f64>();
             quarters += 4;
         }
-        of_place += 2.0 * noise_m.powi(2);
-        of_slope += off.len() as f64 * (line.slope_sigma_m * rate_hz).powi(2);
     }
     let rms = |sum: f64, count: usize| (sum / count.max(1) as f64).sqrt();
-    let is_straight = rms(left, n) < LEFT * noise_m && quarters > 0 && rms(bent, quarters) < BENT * noise_m;
-    is_straight.then_some(Ramps {
+    let is_straight = (n - told) as f64 <= MOST_ROUND * n as f64
+        && rms(left, told) < LEFT * noise_m
+        && quarters > 0
+        && rms(bent, quarters) < BENT * noise_m;
+    is_straight.then(|| Ramps {
         displacement_m,
         velocity_m_s,
+        velocity_is_told,
         displacement_noise_m: rms(of_place, n),
         velocity_noise_m_s: rms(of_slope, n),
     })
+}
+
+/// Whether each sample lies away from corners, where these are round: a table that turns takes some samples for it, over which the force
+/// of a dashpot turns, too. How far they are round all of them tell together.
+fn away_from_round(off_m: &[f64], noise_m: f64, corners: &[f64], slopes_m: &[f64]) -> Vec<bool> {
+    let turns: Vec<(usize, f64)> = (1..corners.len() - 1)
+        .map(|k| (corners[k].round() as usize, (slopes_m[k] - slopes_m[k - 1]).signum()))
+        .collect();
+    let within = |beside: usize| -> f64 {
+        let each = turns.iter().flat_map(|(corner, turn)| {
+            let samples = [corner.checked_sub(beside), (beside > 0).then_some(corner + beside)];
+            samples.into_iter().flatten().filter_map(move |n| Some(turn * off_m.get(n)?))
+        });
+        let (sum, count) = each.fold((0.0, 0_usize), |(sum, count), off| (sum + off, count + 1));
+        sum / (count.max(1) as f64).sqrt()
+    };
+    let round = (0..SHORTEST).take_while(|beside| within(*beside) > ROUND * noise_m).count();
+    let mut told = vec![true; off_m.len()];
+    if round > 0 {
+        for (corner, _) in turns {
+            let beside = corner.saturating_sub(round)..(corner + round + 1).min(told.len());
+            told[beside].fill(false);
+        }
+    }
+    told
 }
 
 #[cfg(test)]
@@ -222,6 +266,29 @@ mod tests {
                 let corners = (0..8000).filter(wrong).count();
                 assert!(corners < 2 * 82, "{name} {noise_m}: {corners}");
             }
+        }
+    }
+
+    #[test]
+    fn beside_corners_that_are_round_no_velocity_is_told() {
+        const NOISE_M: f64 = 3e-3;
+        // Round over so many samples to each side.
+        let mean = |t: f64, samples: i32| {
+            let each = (-50..=50).map(|i| triangle(0.37 * (t + f64::from(i * samples) / 50.0 / RATE_HZ)));
+            each.sum::<f64>() / 101.0
+        };
+        for (samples, most) in [(3, 4 * 7), (0, 0)] {
+            let told = examine(&seen(|t| mean(t, samples), NOISE_M, 7), NOISE_M, RATE_HZ).expect("ramps");
+            let untold = told.velocity_is_told.iter().filter(|told| !**told).count();
+            assert!(untold <= most * 30 / 4 && (untold > 0) == (samples > 0), "{samples}: {untold}");
+            let wrong = |i: &usize| {
+                let (t, dt) = (*i as f64 / RATE_HZ, 0.5 / RATE_HZ);
+                let truth = (mean(t + dt, samples) - mean(t - dt, samples)) / (2.0 * dt);
+                told.velocity_is_told[*i] && (told.velocity_m_s[*i] - truth).abs() > 0.3
+            };
+            // Of a sharp corner one sample may lie on both sides.
+            let wrong = (0..8000).filter(wrong).count();
+            assert!(wrong <= if samples > 0 { 10 } else { 31 }, "{samples}: {wrong}");
         }
     }
 

@@ -35,6 +35,8 @@ pub enum Problem {
     Constant,
     /// A channel stands still while the input moves.
     Stuck,
+    /// A displacement is nothing but noise.
+    Silent,
     /// A channel has the wrong sign.
     WrongSign,
     /// A channel is in another unit than said.
@@ -108,13 +110,15 @@ pub fn examine(record: &Record) -> Vec<Finding> {
             None => {
                 findings.extend(saturated(record, role, values, range));
                 findings.extend(stuck(record, role, values, range));
+                findings.extend(silent(role, values));
             }
         }
     }
     // A channel that says nothing has no sign or unit.
-    let silent =
-        |finding: &Finding| finding.problem == Problem::Constant && finding.severity == Severity::Error;
-    if has_length && !findings.iter().any(silent) {
+    let says_nothing = |finding: &Finding| {
+        matches!(finding.problem, Problem::Constant | Problem::Silent) && finding.severity == Severity::Error
+    };
+    if has_length && !findings.iter().any(says_nothing) {
         findings.extend(kinematic::examine(record));
         findings.extend(unsteady(record));
     }
@@ -350,8 +354,41 @@ pub(in crate::record) fn deviation_by_median(deviates: impl Iterator<Item = f64>
     *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 / MEDIAN
 }
 
+/// Correlation of a displacement with itself some samples later, at most, of which there is nothing but white noise: whatever moves, at how
+/// few samples a cycle ever, shows in one of them.
+const UNRELATED: f64 = 0.1;
+const LATER: usize = 8;
+
+/// A displacement that is white noise, as of a sensor that is not connected.
+fn silent(role: Role, values: &[f64]) -> Option<Finding> {
+    let is_displacement = matches!(role, Role::RelativeDisplacement | Role::Displacement);
+    if !is_displacement || values.len() < FEWEST_SAMPLES {
+        return None;
+    }
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let with_later = |later: usize| -> f64 {
+        values.iter().zip(&values[later..]).map(|(now, then)| (now - mean) * (then - mean)).sum()
+    };
+    let power = with_later(0);
+    let is_unrelated = |later: usize| with_later(later).abs() < UNRELATED * power;
+    // Neither of what is no number, nor of what never moves.
+    (power > 0.0 && (1..=LATER).all(is_unrelated)).then(|| {
+        let text =
+            format!("{} shows nothing but noise: is its sensor connected, and switched on?", role.name());
+        Finding::new(Severity::Error, Problem::Silent, Some(role), text, with_later(1) / power)
+    })
+}
+
+/// Share of a channel's other samples that are as the one before, at most, where it stands still: of a sensor, and of an input, which
+/// is never told twice where it is measured, and may be held where it is made.
+const STANDS: f64 = 0.5;
+const IS_MADE: f64 = 0.02;
+/// Share of its range that the input, or what answers it, moves by meanwhile; share of its range within which an input is at rest.
+const MOVES: f64 = 0.25;
+const RESTS: f64 = 0.02;
+
 /// The longest stretch of equal values inside the record, if the input moves on during it while the
-/// channel elsewhere never holds still.
+/// channel elsewhere never holds still. An input that is measured may stand still, too: what answers it moves on.
 fn stuck(record: &Record, role: Role, values: &[f64], (bottom, top): (f64, f64)) -> Option<Finding> {
     // A run that counts covers two places of this comb.
     let comb = SHORTEST_STANDSTILL / 2 - 1;
@@ -370,19 +407,25 @@ fn stuck(record: &Record, role: Role, values: &[f64], (bottom, top): (f64, f64))
         first = end;
     }
     let elsewhere = (still + 1).saturating_sub(best.len()) as f64 / values.len() as f64;
-    if best.len() < SHORTEST_STANDSTILL || elsewhere > 0.5 || std::ptr::eq(values, record.input()) {
+    let is_input = std::ptr::eq(values, record.input());
+    let held = values[best.start];
+    // What is imposed on a component may be held, and any input may rest.
+    let may_be = is_input && (record.kind == Kind::Component || held.abs() < RESTS * (top - bottom));
+    let most_elsewhere = if is_input { IS_MADE } else { STANDS };
+    if best.len() < SHORTEST_STANDSTILL || elsewhere > most_elsewhere || may_be {
         return None;
     }
-    let (low, high) = span(record.input());
-    let (least, most) = span(&record.input()[best.clone()]);
-    let moves = most - least > 0.25 * (high - low);
-    let held = values[best.start];
+    let (other, what) =
+        if is_input { (response(record), "what answers it") } else { (record.input(), "the input") };
+    let (low, high) = span(other);
+    let (least, most) = span(&other[best.clone()]);
+    let moves = most - least > MOVES * (high - low);
     // A held extreme value is saturation, which has been named.
     let extreme = held <= bottom || held >= top;
     (moves && !extreme).then(|| {
         let seconds = best.len() as f64 / record.sample_rate_hz;
         let text = format!(
-            "{} stands still for {seconds:.3} s from {:.3} s on while the input moves",
+            "{} stands still for {seconds:.3} s from {:.3} s on while {what} moves",
             role.name(),
             record.time_s[best.start]
         );

@@ -176,10 +176,24 @@ fn saturated_constant_and_stuck_channels_are_named() {
     record.relative_displacement_m.fill(0.012);
     assert_eq!(named(&record), [(Problem::Constant, Some("relative_displacement_m"))]);
 
-    let mut record = sound;
+    let mut record = sound.clone();
     let held = record.relative_displacement_m[2000];
     record.relative_displacement_m[2000..3000].fill(held);
     assert!(named(&record).contains(&(Problem::Stuck, Some("relative_displacement_m"))));
+
+    // A sensor that is not connected.
+    let mut record = sound.clone();
+    let mut random = rand_pcg::Pcg64::seed_from_u64(9);
+    record.relative_displacement_m.fill_with(|| 1e-5 * random.random::<f64>());
+    assert_eq!(named(&record), [(Problem::Silent, Some("relative_displacement_m"))]);
+
+    // What drives it, too, unless it is at rest there, as one may be that was made and not measured.
+    let stuck = (Problem::Stuck, Some("table_acceleration_m_s2"));
+    for (held, is_named) in [(0.5 * span(&sound.table_acceleration_m_s2).1, true), (0.0, false)] {
+        let mut record = sound.clone();
+        record.table_acceleration_m_s2[2000..3000].fill(held);
+        assert_eq!(named(&record).contains(&stuck), is_named, "{held}");
+    }
 }
 
 #[test]
