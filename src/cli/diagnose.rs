@@ -1,5 +1,6 @@
 //! `shaketable diagnose`: what is missing from the model, and the next test.
 
+use super::effect::{refuse_existing, write_model};
 use super::fitted::failed;
 use super::reading::ReadingArgs;
 use super::{CliError, Outcome, parts};
@@ -32,6 +33,12 @@ pub struct Args {
     /// Do not try this effect, of which you know that it is not there; may be given several times.
     #[arg(long, value_name = "EFFECT", conflicts_with = "evidence")]
     without: Vec<String>,
+    /// Write the model that was found: re-identified, with what is named, or with the drafted force.
+    #[arg(short, long, value_name = "NEW.toml", conflicts_with = "evidence")]
+    output: Option<PathBuf>,
+    /// Replace the model file that is there.
+    #[arg(long, requires = "output")]
+    force: bool,
     /// Write a page with the error ladder, all tables and the shape of the missing force.
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
@@ -52,6 +59,9 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
             args.records.len()
         )));
     }
+    if let Some(output) = &args.output {
+        refuse_existing(output, args.force)?;
+    }
     let names = args.records.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
     let models: Vec<ModelSpec> =
         args.model.iter().map(|name| super::reading::read_model(name)).collect::<Result<_, _>>()?;
@@ -65,6 +75,9 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let without = args.without.iter().map(known).collect::<Result<_, _>>()?;
     let options = Options { anyway: args.anyway, without, ..Options::default() };
     let answer = parts::shown(|| diagnose_together(&tests, &options)).map_err(failed)?;
+    if let Some(path) = &args.output {
+        write_model(&answer.model, path)?;
+    }
     if let Some(path) = &args.report {
         let title = format!("What is missing: {names} against {}", models[0].name);
         page(&title, &answer).and_then(|page| page.write(path)).map_err(CliError::failed)?;

@@ -154,14 +154,14 @@ fn refuse_invalid(model: &ModelSpec) -> Result<(), CliError> {
     model.check().map_err(|(key, reason)| CliError::usage(format!("{key}: {reason}")))
 }
 
-fn refuse_existing(output: &Path, force: bool) -> Result<(), CliError> {
+pub(super) fn refuse_existing(output: &Path, force: bool) -> Result<(), CliError> {
     if output.exists() && !force {
         return Err(CliError::usage(format!("{} exists; `--force` replaces it", output.display())));
     }
     Ok(())
 }
 
-fn write_model(model: &ModelSpec, output: &Path) -> Result<(), CliError> {
+pub(super) fn write_model(model: &ModelSpec, output: &Path) -> Result<(), CliError> {
     refuse_invalid(model)?;
     let text = toml::to_string(model).map_err(CliError::failed)?;
     std::fs::write(output, text)

@@ -2,7 +2,9 @@
 
 use crate::diagnose::parts::TARGET;
 use indicatif::{ProgressBar, ProgressStyle};
-use std::time::Duration;
+use std::io::IsTerminal;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant};
 use tracing::field::{Field, Visit};
 use tracing::subscriber::with_default;
 use tracing::{Event, Subscriber};
@@ -11,46 +13,98 @@ use tracing_subscriber::layer::{Context, Layer, SubscriberExt as _};
 /// How often the time that has passed is drawn anew.
 const REDRAWN: Duration = Duration::from_millis(200);
 
-/// Hands on the name of each part that has ended.
+/// What has been found so far is told from then on: a quick answer needs no news.
+const LONG: Duration = Duration::from_secs(20);
+
+/// What a diagnosis tells of itself.
+#[derive(Clone, Debug, PartialEq)]
+pub enum News {
+    /// A part of this name has ended.
+    Done(String),
+    /// What has been found until now.
+    SoFar(String),
+}
+
+/// Hands on each of them.
 struct Listener<F>(F);
 
-impl<S: Subscriber, F: Fn(String) + 'static> Layer<S> for Listener<F> {
+impl<S: Subscriber, F: Fn(News) + 'static> Layer<S> for Listener<F> {
     fn on_event(&self, event: &Event<'_>, _context: Context<'_, S>) {
         if event.metadata().target() == TARGET {
-            let mut part = Part(String::new());
-            event.record(&mut part);
-            self.0(part.0);
+            let mut told = Told(None);
+            event.record(&mut told);
+            told.0.into_iter().for_each(&self.0);
         }
     }
 }
 
-/// Name of the part that an event tells of.
-struct Part(String);
+/// What an event tells.
+struct Told(Option<News>);
 
-impl Visit for Part {
-    fn record_str(&mut self, _field: &Field, value: &str) {
-        value.clone_into(&mut self.0);
+impl Visit for Told {
+    fn record_str(&mut self, field: &Field, value: &str) {
+        self.0 = match field.name() {
+            "part" => Some(News::Done(value.to_owned())),
+            "so_far" => Some(News::SoFar(value.to_owned())),
+            _ => None,
+        };
     }
 
     fn record_debug(&mut self, _field: &Field, _value: &dyn std::fmt::Debug) {}
 }
 
-/// Does what diagnoses; each part of it that has ended is told.
-pub fn told<T>(each: impl Fn(String) + Send + Sync + 'static, diagnose: impl FnOnce() -> T) -> T {
+/// Does what diagnoses; each part of it that has ended is told, and what has been found so far.
+pub fn told<T>(each: impl Fn(News) + Send + Sync + 'static, diagnose: impl FnOnce() -> T) -> T {
     with_default(tracing_subscriber::registry().with(Listener(each)), diagnose)
 }
 
-/// The same with a line on the terminal, where there is one, that says for how long it has gone on and what has been done last.
+/// The same with a line on the terminal, where there is one, that says for how long it has gone on and what has been done last; of one that takes
+/// long also what has been found so far, on the error output: whoever does not wait for the end has that.
 pub fn shown<T>(diagnose: impl FnOnce() -> T) -> T {
     let bar = ProgressBar::new_spinner();
     if let Ok(style) = ProgressStyle::with_template("{spinner} diagnosing for {elapsed_precise}  {msg}") {
         bar.set_style(style);
     }
     bar.enable_steady_tick(REDRAWN);
-    let line = bar.clone();
-    let out = told(move |part| line.set_message(format!("done: {part}")), diagnose);
+    let (tell, heard) = channel();
+    let end = tell.clone();
+    let (line, begun) = (bar.clone(), Instant::now());
+    let on_the_line = bar.clone();
+    let show = move |text: String| {
+        if std::io::stderr().is_terminal() { on_the_line.println(text) } else { eprintln!("{text}") }
+    };
+    let shows = std::thread::spawn(move || show_when_long(&heard, begun, show));
+    let news = move |news| match news {
+        News::Done(part) => line.set_message(format!("done: {part}")),
+        News::SoFar(found) => {
+            // Whoever shows it has not ended before this does.
+            let _ = tell.send(Some(format!("after {:.0} s: {found}", begun.elapsed().as_secs_f64())));
+        }
+    };
+    let out = told(news, diagnose);
+    let _ = end.send(None);
+    let _ = shows.join();
     bar.finish_and_clear();
     out
+}
+
+/// Shows what is heard until there is no more: what comes before it has taken long then, nothing of what ends sooner.
+fn show_when_long(heard: &Receiver<Option<String>>, begun: Instant, show: impl Fn(String)) {
+    let (mut early, mut goes_on) = (Vec::new(), true);
+    while goes_on {
+        match heard.recv_timeout(LONG.saturating_sub(begun.elapsed())) {
+            Ok(Some(text)) => early.push(text),
+            Err(RecvTimeoutError::Timeout) => break,
+            Ok(None) | Err(RecvTimeoutError::Disconnected) => goes_on = false,
+        }
+    }
+    if begun.elapsed() < LONG {
+        return;
+    }
+    early.into_iter().for_each(&show);
+    if goes_on {
+        heard.iter().map_while(|text| text).for_each(show);
+    }
 }
 
 #[cfg(test)]
@@ -60,21 +114,41 @@ mod tests {
     use std::sync::{Arc, Mutex};
 
     #[test]
+    fn what_takes_long_is_told_from_its_beginning_and_what_is_quick_not_at_all() {
+        let shown = |heard: &Receiver<Option<String>>, begun| {
+            let lines = Mutex::new(Vec::new());
+            show_when_long(heard, begun, |text| lines.lock().expect("alone").push(text));
+            lines.into_inner().expect("alone")
+        };
+        let (tell, heard) = channel();
+        let say = |text: Option<&str>| tell.send(text.map(str::to_owned)).expect("heard");
+        say(Some("quick"));
+        say(None);
+        assert!(shown(&heard, Instant::now()).is_empty());
+        // Begun so long ago that it has taken long already.
+        let long_ago = Instant::now().checked_sub(2 * LONG).expect("the machine has run for that long");
+        for text in [Some("first"), Some("second"), None] {
+            say(text);
+        }
+        assert_eq!(shown(&heard, long_ago), ["first", "second"]);
+    }
+
+    #[test]
     fn every_part_is_told_in_its_order_and_nothing_else() {
-        let parts = Arc::new(Mutex::new(Vec::new()));
-        let heard = Arc::clone(&parts);
+        let heard = Arc::new(Mutex::new(Vec::new()));
+        let hears = Arc::clone(&heard);
         let out = told(
-            move |part| heard.lock().expect("alone").push(part),
+            move |news| hears.lock().expect("alone").push(news),
             || {
                 parts::done("first");
                 tracing::info!(part = "of something else");
+                parts::so_far("something");
                 parts::done("second");
                 3
             },
         );
-        assert_eq!(
-            (out, parts.lock().expect("alone").as_slice()),
-            (3, &["first".to_owned(), "second".to_owned()][..])
-        );
+        let [first, found, second] = ["first", "something", "second"].map(str::to_owned);
+        let all = [News::Done(first), News::SoFar(found), News::Done(second)];
+        assert_eq!((out, heard.lock().expect("alone").as_slice()), (3, &all[..]));
     }
 }

@@ -17,7 +17,7 @@ use crate::identify::problem::{OutputError, Part, Problem};
 use crate::identify::refit::Refit;
 use crate::identify::response::Measured;
 use crate::identify::together::Setting;
-use crate::model::{ModelSpec, effects};
+use crate::model::{EffectSpec, ModelSpec, effects};
 use crate::record::{Kind, Record};
 use std::collections::BTreeSet;
 
@@ -107,6 +107,7 @@ impl Composer<'_> {
             next_test: if verdict == Verdict::Ambiguous { self.next_test(search, &decision) } else { None },
             ambiguous_with: decision.ambiguous_with,
             missing_force: self.missing_force(search, chosen, verdict),
+            model: found(chosen, findings),
             left: self.left(chosen, verdict, after.nrmse() / after.noise_floor(self.motion)),
             steps: self.steps(&without.unwrap_or_default(), &with),
             ladder,
@@ -115,7 +116,7 @@ impl Composer<'_> {
             notes: self.notes(
                 chosen,
                 findings,
-                [notes, self.astray(&chosen.refit), late::said(self.searcher, chosen)].concat(),
+                [notes, astray(&chosen.refit), late::said(self.searcher, chosen)].concat(),
             ),
             share_left: left,
             structure_left: chosen.response.as_ref().map(Response::excess),
@@ -288,37 +289,24 @@ impl Composer<'_> {
         out
     }
 
-    /// What is to be said of numbers of the model that went far from where its file has them: a guess that is held too tightly leaves a
-    /// misfit that effects stand in for. Those of effects are held by what is usual, not by the file.
-    fn astray(&self, refit: &Refit) -> Vec<String> {
-        let of_effects = |key: &str| key.starts_with("effect[");
-        let told = |(number, free): (&Number, &Free)| {
-            let (given, sigma) = free.prior;
-            let (value, ..) = refit.interval(&number.key)?;
-            let deviations = (value - given).abs() / sigma;
-            (!of_effects(&number.key) && deviations > ASTRAY).then(|| {
-                format!(
-                    "{} goes to {value:.4e}, {deviations:.0} deviations from the {given:.4e} of the model file: if that was a guess, give it a wider `uncertainty` there, or an effect may stand in for what it is held back by",
-                    number.key
-                )
-            })
-        };
-        refit.numbers.numbers.iter().zip(&refit.numbers.free).filter_map(told).collect()
-    }
-
     /// What is to be said of the records, and then of the instruments.
     fn notes(&self, chosen: &Trial, findings: &[Finding], mut notes: Vec<String>) -> Vec<String> {
         notes.extend(self.options.without.iter().map(|name| format!("{name} was not tried, as asked for")));
         notes.extend(findings.iter().map(|f| format!("{}: {}", f.name, f.text)));
-        if self.motion.kind == Kind::Component && chosen.names.iter().any(|name| name == "constant-force") {
-            notes.push("constant-force: a zero of the force sensor looks the same".to_owned());
+        let zeros = match self.motion.kind {
+            Kind::Base => None,
+            Kind::Force => Some("of the sensor of the force, or of the displacement,"),
+            Kind::Component => Some("of the force sensor"),
+        };
+        if let Some(of) = zeros.filter(|_| chosen.names.iter().any(|name| name == "constant-force")) {
+            notes.push(format!("constant-force: a zero {of} looks the same"));
         }
         notes.extend(self.motion.instruments.as_ref().map(|found| found.told(self.motion.kind)));
         let slow = self.searcher.measured.as_ref().map_or(Vec::new(), Measured::slow_noise_hz);
         notes.extend(slow.iter().enumerate().filter(|(_, corner)| **corner > 0.0).map(|(i, corner)| {
             let of = if slow.len() > 1 { format!(" in record {}", i + 1) } else { String::new() };
             format!(
-                "slow noise beside the model{of}: as much as the laser's white one at {corner:.2} Hz, more below; its own drift, or motion that the table's sensors do not show (counted as noise)"
+                "slow noise beside the model{of}: as much as the displacement sensor's white one at {corner:.2} Hz, more below; its own drift, or motion of what the mass stands on that no sensor shows (counted as noise)"
             )
         }));
         // What was said before records were taken otherwise is said of those again.
@@ -326,6 +314,37 @@ impl Composer<'_> {
         notes.retain(|note| said.insert(note.clone()));
         notes
     }
+}
+
+/// What is to be said of numbers of the model that went far from where its file has them: a guess that is held too tightly leaves a
+/// misfit that effects stand in for. Those of effects are held by what is usual, not by the file.
+pub(super) fn astray(refit: &Refit) -> Vec<String> {
+    let of_effects = |key: &str| key.starts_with("effect[");
+    let told = |(number, free): (&Number, &Free)| {
+        let (given, sigma) = free.prior;
+        let (value, ..) = refit.interval(&number.key)?;
+        let deviations = (value - given).abs() / sigma;
+        (!of_effects(&number.key) && deviations > ASTRAY).then(|| {
+            format!(
+                "{} goes to {value:.4e}, {deviations:.0} deviations from the {given:.4e} of the model file: if that was a guess, give it a wider `uncertainty` there, or an effect may stand in for what it is held back by",
+                number.key
+            )
+        })
+    };
+    refit.numbers.numbers.iter().zip(&refit.numbers.free).filter_map(told).collect()
+}
+
+/// The model of a trial, with what the instruments do.
+fn found(chosen: &Trial, findings: &[Finding]) -> ModelSpec {
+    let mut model = chosen.refit.spec.clone();
+    model.effects.extend(findings.iter().map(|finding| EffectSpec {
+        name: finding.name.clone(),
+        expression: None,
+        parameters: finding.parameters.iter().map(|(name, of, _)| (name.clone(), of.value)).collect(),
+    }));
+    let names = findings.iter().map(|finding| &finding.name).chain(&chosen.names);
+    model.name = names.fold(model.name, |name, effect| format!("{name}+{effect}"));
+    model
 }
 
 fn instrument_effect(finding: &Finding, error_after: Option<f64>) -> NamedEffect {

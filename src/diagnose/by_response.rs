@@ -83,6 +83,13 @@ impl Searcher<'_> {
             first_of_each(&mut first, |effect| fitted_starts(effect, long), |(_, spec)| spec.effects.last());
         }
         parts::done("first order");
+        if let Some((nats, name)) =
+            first.first().and_then(|(nats, with)| Some((nats, &with.effects.last()?.name)))
+        {
+            let beside =
+                if from.names.is_empty() { String::new() } else { format!(" beside {}", from.said()) };
+            parts::so_far(&format!("at a first look {name} brings most{beside}, {nats:.0} nats"));
+        }
         // To first order is near enough where little is left; otherwise the force has a say.
         let best = first.first().map_or(0.0, |(nats, _)| *nats);
         let least = if long { SECOND } else { WORTH };

@@ -1,6 +1,6 @@
 //! The whole diagnosis of one record: instruments, re-identification, search, verdict.
 
-use super::answer::Composer;
+use super::answer::{self, Composer};
 use super::instruments::{self, Finding};
 use super::late_force::{self, Lagging};
 use super::report::Diagnosis;
@@ -191,6 +191,7 @@ fn of_motion(
     let diverges = || DiagnoseError::Diverges { name: nominal.name.clone() };
     let base = searcher.base(nominal).ok_or_else(diverges)?;
     parts::done("base model");
+    answer::astray(&base.refit).iter().for_each(|text| parts::so_far(text));
     let is_moved = again.late_s.iter().any(|late_s| *late_s != 0.0);
     let error = || searcher.held_out_error(&base).map(|error| error.nrmse());
     let much = if is_moved { late::SPOKEN_OF } else { late::MUCH };

@@ -91,7 +91,7 @@ impl Searcher<'_> {
         let mut refused = decision.refused;
         if !taken.names.is_empty() {
             let reason = format!("explains less than the drafted force does: {ahead:.1} nats apart");
-            refused.push(Refused { name: taken.names.join(" with "), reason });
+            refused.push(Refused { name: taken.said(), reason });
         }
         Decision {
             verdict: Verdict::OutsideCatalogue,

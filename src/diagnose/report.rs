@@ -4,6 +4,7 @@ use super::missing_force::MissingForce;
 use super::next_test::NextTest;
 use super::verdict::{Refused, Verdict};
 use crate::identify::refit::FittedNumber;
+use crate::model::ModelSpec;
 use crate::model::effects::unit_behind;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -113,12 +114,17 @@ pub struct Diagnosis {
     /// Covariance of neighbouring residuals of the simulated response, in units of the noise, which has none; nothing where the
     /// response does not decide.
     pub structure_left: Option<f64>,
+    /// The model that was found: re-identified, with what was named, or with the drafted force.
+    #[serde(skip)]
+    pub model: ModelSpec,
     /// Wall time, s.
     pub wall_s: f64,
 }
 
 /// Error over the noise floor from which on something is left that numbers make up for.
 const LEFT: f64 = 1.2;
+/// The same from which on what is named may stand in for something that there is no name for.
+const ANOTHER_LAW: f64 = 3.0;
 
 impl Diagnosis {
     /// What the re-identified numbers are called: those of a model that lacks something make up for it, and no interval holds then.
@@ -133,6 +139,12 @@ impl Diagnosis {
             }
             _ => "Re-identified numbers",
         }
+    }
+
+    /// What explains a part of a record that nothing explains, in the numbers and the error after; none where that is a drafted force.
+    fn explained_in_part(&self) -> Option<&str> {
+        let last = self.ladder.last().filter(|_| self.verdict == Verdict::OutsideCatalogue)?;
+        last.model.strip_prefix("+ ").filter(|model| !model.contains("expression"))
     }
 
     /// The verdict in one line.
@@ -170,6 +182,9 @@ impl Diagnosis {
         if let Some(left) = &self.left {
             line(left.sentence());
             left.force.iter().for_each(|force| tell(&mut line, "What is still missing", force));
+        }
+        if let Some(tried) = self.explained_in_part() {
+            line(format!("After and the numbers below are with {tried}, which explains a part of it"));
         }
         for effect in &self.effects {
             line(format!("  {} (probability {:.2})", effect.name, effect.probability));
@@ -209,8 +224,9 @@ impl Diagnosis {
                 line(format!("  {}: {}", refused.name, refused.reason));
             }
         }
-        if let Some(force) = &self.missing_force {
-            tell(&mut line, "What is missing after re-identification", force);
+        // Of a model that lacks nothing there is nothing to be told.
+        if let Some(force) = self.missing_force.as_ref().filter(|_| self.verdict != Verdict::Adequate) {
+            tell(&mut line, "What the re-identified model lacks without any effect", force);
         }
         if let Some(test) = &self.next_test {
             line(format!("Next test: {} - {}", test.title, test.reason));
@@ -237,8 +253,13 @@ fn tell(line: &mut impl FnMut(String), what: &str, force: &MissingForce) {
 impl Left {
     /// That something is left, in words.
     pub fn sentence(&self) -> String {
+        let named = if self.times_noise < ANOTHER_LAW {
+            "what is named stands"
+        } else {
+            "what is named comes nearest among known effects, and may stand in for another law"
+        };
         format!(
-            "Not all of it: what is named stands, but the error that is left is {:.1} times what noise alone makes",
+            "Not all of it: {named}; the error that is left is {:.1} times what noise alone makes",
             self.times_noise
         )
     }

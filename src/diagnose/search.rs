@@ -45,6 +45,8 @@ impl Default for Effort {
 
 /// A candidate that leaves more of the excess than the best one, by this share, is not fitted in full.
 const NEAR: f64 = 0.25;
+/// What a model leaves of the force on the thinned record over what noise makes, at least, for shares of its excess to be told.
+const NO_EXCESS: f64 = 1.001;
 /// Nats that a candidate brings on the thinned record before it is fitted in full.
 const PROMISING: f64 = 3.0;
 /// Share of its prior's width that is left to a number that the motion does not reach.
@@ -58,8 +60,8 @@ const FRICTIONS: [&str; 2] = ["coulomb-friction", "stribeck-friction"];
 pub struct Stage {
     /// Fully fitted candidates, best held-out score first.
     pub finalists: Vec<Trial>,
-    /// Names of those that did not pass the screening, with the share of the excess they left.
-    pub screened: Vec<(String, f64)>,
+    /// Names of those that did not pass the screening, with the share of the excess they left, where there is one.
+    pub screened: Vec<(String, Option<f64>)>,
     /// What the force sorted out, best first; nothing where it was not asked.
     pub(super) by_force: Vec<(&'static str, Refit)>,
 }
@@ -254,11 +256,9 @@ impl<'a> Searcher<'a> {
                 *i == 0 || brings(refit) && (*i == 1 || share(trial::objective(refit)) < near)
             })
             .count();
-        let screened: Vec<(String, f64)> = best
-            .iter()
-            .skip(pass)
-            .map(|(name, refit)| ((*name).to_owned(), share(trial::objective(refit))))
-            .collect();
+        let told = |refit: &Refit| (reference > NO_EXCESS * floor).then(|| share(trial::objective(refit)));
+        let screened: Vec<(String, Option<f64>)> =
+            best.iter().skip(pass).map(|(name, refit)| ((*name).to_owned(), told(refit))).collect();
         let finalists = match (&self.measured, &from.response) {
             (Some(measured), Some(_)) => {
                 best.truncate(pass.max(2));
@@ -396,6 +396,7 @@ impl<'a> Searcher<'a> {
             }
             parts::done("rivals by all steps");
             search.stages.push(stage);
+            parts::so_far(&search.said());
             if !gained {
                 break;
             }
@@ -419,6 +420,17 @@ impl Search {
         }
         let finalists = self.stages.iter_mut().flat_map(|stage| &mut stage.finalists);
         finalists.filter(|trial| trial.names == better.names).for_each(|trial| *trial = better.clone());
+    }
+
+    /// What explains most so far, in words.
+    fn said(&self) -> String {
+        let best = self.best();
+        let explained = 100.0 * (1.0 - best.share_left(&self.base)).clamp(0.0, 1.0);
+        if best.names.is_empty() {
+            "no known effect brings anything so far".to_owned()
+        } else {
+            format!("{} explains {explained:.1} % of what the re-identified model leaves", best.said())
+        }
     }
 
     /// The best trial of all stages, the base when there is none.

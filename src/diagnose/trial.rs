@@ -214,6 +214,11 @@ impl Trial {
         })
     }
 
+    /// Its effects, in words.
+    pub fn said(&self) -> String {
+        self.names.join(" with ")
+    }
+
     /// Whether its simulated response is too far off for first order.
     pub fn is_far(&self) -> bool {
         self.response.as_ref().is_some_and(|r| r.left[0].median > FAR || r.excess() > STRUCTURED)

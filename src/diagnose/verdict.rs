@@ -135,16 +135,21 @@ pub fn decide(search: &Search, searcher: &Searcher<'_>, thresholds: Thresholds) 
         for trial in &stage.finalists {
             let name = own_name(trial, &chosen);
             if name != own_name(&chosen, trial) && !rivals.contains(&name) {
-                refused.push(refuse(trial, &chosen, base, "explains less"));
+                let ahead = apart(trial, &chosen) > 0.0;
+                let why = if ahead { "does not stand beside what was kept" } else { "explains less" };
+                refused.push(refuse(trial, &chosen, base, why));
             }
         }
         for (name, left) in &stage.screened {
             refused.push(Refused {
                 name: name.clone(),
-                reason: format!(
-                    "leaves {:.0} % of the excess in the force domain",
-                    100.0 * left.clamp(0.0, 1.0)
-                ),
+                reason: match left {
+                    Some(left) => format!(
+                        "leaves {:.0} % of the excess in the force domain",
+                        100.0 * left.clamp(0.0, 1.0)
+                    ),
+                    None => "there is no excess in the force domain".to_owned(),
+                },
             });
         }
         taken = chosen;
@@ -233,12 +238,11 @@ fn by_response(
     let told_by_error = || {
         searcher.over_noise(taken).is_some_and(|times| times > thresholds.most_over_noise(searcher.motion))
     };
-    // Shapes are asked only where the residuals themselves do not tell.
+    // A shape that leaves nothing, where what is named does.
+    let lawful = search.law.is_some() && !taken.names.is_empty();
+    // Shapes are asked only where the residuals themselves do not tell; in place of an effect one has been asked already, beside the base
+    // model more is asked of it.
     let told_by_shape = || {
-        // In place of an effect a shape has been asked already; beside the base model more is asked of it.
-        if search.law.is_some() && !taken.names.is_empty() {
-            return true;
-        }
         let shaped = searcher.shaped(base, taken, thresholds);
         shaped.beside > thresholds.of_shape(taken) || shaped.instead > thresholds.of_shape_instead(taken)
     };
@@ -252,7 +256,7 @@ fn by_response(
             && taken.share_left(base).max(left(taken) / left(base).max(1e-3)) < thresholds.nearly
     };
     let faint = || taken.names.is_empty() && leaves_noise(searcher, taken, thresholds);
-    if (told_by_structure || told_by_error() || told_by_shape()) && !nearly_all() && !faint() {
+    if lawful || (told_by_structure || told_by_error() || told_by_shape()) && !nearly_all() && !faint() {
         Verdict::OutsideCatalogue
     } else if taken.names.is_empty() {
         Verdict::Adequate
@@ -461,7 +465,7 @@ fn refuse(trial: &Trial, against: &Trial, base: &Trial, why: &str) -> Refused {
         let held_out = gain(against, trial);
         format!("{held_out:.1} nats apart on held-out steps, {on_the_fit:.1} on the steps of the fit")
     };
-    let [left, left_kept] = [trial, against].map(|of| 100.0 * of.share_left(base));
+    let [left, left_kept] = [trial, against].map(|of| 100.0 * of.share_left(base).min(1.0));
     // At few samples a cycle the base model's residuals may show none.
     let shares = if base.excess() > NO_EXCESS {
         format!("leaves {left:.1} % of the excess ({left_kept:.1} % with what was kept), ")

@@ -70,8 +70,8 @@ pub fn execute(args: &DiagnoseArgs, json: bool) -> Result<Outcome, CliError> {
         let record = sweep(&specimen)?;
         let watch = Arc::new(Mutex::new(Watch { times: Vec::new(), last: now() }));
         let on_watch = Arc::clone(&watch);
-        let ended = move |part| {
-            if let Ok(mut watch) = on_watch.lock() {
+        let ended = move |news| {
+            if let (parts::News::Done(part), Ok(mut watch)) = (news, on_watch.lock()) {
                 watch.ended(part);
             }
         };
