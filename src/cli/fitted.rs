@@ -18,7 +18,7 @@ pub fn refuse_unfit(record: &Record, model: &ModelSpec, anyway: bool) -> Result<
 pub fn failed(error: DiagnoseError) -> CliError {
     match error {
         DiagnoseError::Unfit { .. } => CliError::failed(format!(
-            "{error}; name its columns with their sign and unit (`--map`), or see what comes of it with --anyway"
+            "{error}; if it was read wrongly, name its columns with their sign and unit (`--map`); --anyway shows what comes of it as it is"
         )),
         error => CliError::failed(error),
     }

@@ -191,8 +191,10 @@ fn of_motion(
     let diverges = || DiagnoseError::Diverges { name: nominal.name.clone() };
     let base = searcher.base(nominal).ok_or_else(diverges)?;
     parts::done("base model");
-    answer::astray(&base.refit).iter().for_each(|text| parts::so_far(text));
     let is_moved = again.late_s.iter().any(|late_s| *late_s != 0.0);
+    if !is_moved && again.noise == QUIETER {
+        answer::astray(&base.refit).iter().for_each(|text| parts::so_far(text));
+    }
     let error = || searcher.held_out_error(&base).map(|error| error.nrmse());
     let much = if is_moved { late::SPOKEN_OF } else { late::MUCH };
     if again.on_time > BY_EXPLANATION
