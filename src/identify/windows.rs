@@ -10,7 +10,9 @@ use std::ops::Range;
 
 /// Steady steps below which a record is cut into equal parts.
 const FEWEST_STEPS: usize = 4;
-/// Cycles of a step that count, fewer in a record of very many samples, and that warm it up.
+/// Samples of a record above which it is a whole sweep.
+pub(super) const VERY_LONG: usize = 720_000;
+/// Cycles of a step that count, fewer of a whole sweep, and that warm it up.
 const COUNTED: f64 = 4.0;
 const FEWEST_COUNTED: f64 = 2.0;
 const WARM: f64 = 3.0;
@@ -145,14 +147,14 @@ fn steady(step: i32, range: Range<usize>, motion: &Motion) -> Option<Window> {
     let frequency_hz = step_cycles_hz(motion.kind, &input[range.clone()], rate)?;
     let cycle = rate / frequency_hz;
     let cycles = (range.len() as f64 / cycle).floor();
-    // A record of so many samples tells as much by few cycles of each step as by many of few steps.
-    let room = MOST * SHORT / motion.displacement_m.len() as f64;
-    let asked = room.ceil().clamp(FEWEST_COUNTED, COUNTED);
+    // So many samples tell as much by few cycles of each step as by many of few steps.
+    let very_long = motion.displacement_m.len() > VERY_LONG;
+    let asked = if very_long { FEWEST_COUNTED } else { COUNTED };
     let mut counted = if cycles >= COUNTED + WARM { asked } else { (cycles / 2.0).floor().min(asked) };
     if counted < 1.0 {
         return None;
     }
-    let most = room.min(MOST).min(cycles - WARM);
+    let most = (MOST * SHORT / motion.displacement_m.len() as f64).min(MOST).min(cycles - WARM);
     let back = |count: f64| range.end - (count * cycle).round() as usize;
     let channels = [input, &motion.displacement_m];
     let from_here = back(counted);

@@ -2,7 +2,7 @@
 
 use super::Measured;
 use crate::identify::motion::Motion;
-use crate::identify::windows::{largest_m, struck};
+use crate::identify::windows::{VERY_LONG, largest_m, struck};
 use crate::record::Kind;
 use std::sync::{Arc, RwLock};
 
@@ -65,7 +65,7 @@ fn is_long(motion: &Motion) -> bool {
 
 /// Whether it is a whole sweep, of whose steps two cycles count.
 fn is_very_long(motion: &Motion) -> bool {
-    motion.displacement_m.len() > 2 * LONG * motion.sources.len().max(1)
+    motion.displacement_m.len() > VERY_LONG * motion.sources.len().max(1)
 }
 
 impl Measured<'_> {
