@@ -2,7 +2,6 @@
 
 use crate::diagnose::parts::TARGET;
 use indicatif::{ProgressBar, ProgressStyle};
-use std::io::IsTerminal;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 use tracing::field::{Field, Visit};
@@ -69,10 +68,8 @@ pub fn shown<T>(diagnose: impl FnOnce() -> T) -> T {
     let (tell, heard) = channel();
     let end = tell.clone();
     let (line, begun) = (bar.clone(), Instant::now());
-    let on_the_line = bar.clone();
-    let show = move |text: String| {
-        if std::io::stderr().is_terminal() { on_the_line.println(text) } else { eprintln!("{text}") }
-    };
+    let beside_it = bar.clone();
+    let show = move |text: String| beside_it.suspend(|| eprintln!("{text}"));
     let shows = std::thread::spawn(move || show_when_long(&heard, begun, show));
     let news = move |news| match news {
         News::Done(part) => line.set_message(format!("done: {part}")),

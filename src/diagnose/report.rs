@@ -5,7 +5,7 @@ use super::next_test::NextTest;
 use super::verdict::{Refused, Verdict};
 use crate::identify::refit::FittedNumber;
 use crate::model::ModelSpec;
-use crate::model::effects::unit_behind;
+use crate::model::effects::{expression, unit_behind};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -129,22 +129,26 @@ const ANOTHER_LAW: f64 = 3.0;
 impl Diagnosis {
     /// What the re-identified numbers are called: those of a model that lacks something make up for it, and no interval holds then.
     pub fn numbers_title(&self) -> &'static str {
-        let drafted = || self.ladder.last().is_some_and(|rung| rung.model == "+ expression");
         match self.verdict {
             Verdict::OutsideCatalogue if self.error_after > LEFT * self.noise_floor => {
                 "Re-identified numbers (they make up for what is missing: no interval holds before the model has that)"
             }
-            Verdict::OutsideCatalogue if drafted() => {
+            Verdict::OutsideCatalogue if self.found() == Some(expression::EFFECT.name) => {
                 "Re-identified numbers (beside the drafted force: they hold as far as that is what is missing)"
             }
             _ => "Re-identified numbers",
         }
     }
 
+    /// What the last rung of the ladder has added to the re-identified model.
+    fn found(&self) -> Option<&str> {
+        self.ladder.last()?.model.strip_prefix("+ ")
+    }
+
     /// What explains a part of a record that nothing explains, in the numbers and the error after; none where that is a drafted force.
     fn explained_in_part(&self) -> Option<&str> {
-        let last = self.ladder.last().filter(|_| self.verdict == Verdict::OutsideCatalogue)?;
-        last.model.strip_prefix("+ ").filter(|model| !model.contains("expression"))
+        let outside = self.verdict == Verdict::OutsideCatalogue;
+        self.found().filter(|found| outside && *found != expression::EFFECT.name)
     }
 
     /// The verdict in one line.
