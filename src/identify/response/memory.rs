@@ -1,8 +1,49 @@
-//! What a springpot remembers: its states forget by a power law, so that the whole record before a step counts. They depend on
-//! the motion alone and are carried along it once for all fits.
+//! What effects remember of the whole record before a part of it. The states of a springpot forget by a power law; they depend on
+//! the motion alone and are carried along it once for all fits. A hysteresis stays as larger motions left it; its states depend on its
+//! numbers, too, and are carried along once for all fits and slopes that have those.
 
 use super::{Measured, Window};
 use crate::model::{self, EffectSpec, IsolatorSpec, ModelSpec, Specimen};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+/// So many walks are kept: a model and those with one of the numbers of an effect moved to either side, of some fits at once.
+const KEPT: usize = 48;
+
+/// States where each window of a record begins to be warmed up, in their order, as soon as somebody has gone there.
+pub(super) type Walked = Arc<OnceLock<Vec<Vec<f64>>>>;
+
+/// Walks along records, the newest last.
+#[derive(Default)]
+pub(super) struct Walks(Mutex<Vec<(Walk, Walked)>>);
+
+/// What a walk depends on.
+#[derive(Clone, PartialEq)]
+pub(super) struct Walk {
+    /// What has states.
+    pub effects: Vec<EffectSpec>,
+    /// Number of the record.
+    pub source: usize,
+    /// Zero of its displacement, m.
+    pub zero_m: f64,
+    /// Its windows are warmed up from farther back, for tips that creep.
+    pub creeps: bool,
+}
+
+impl Walks {
+    /// Where such a walk leads, gone already or not.
+    pub(super) fn of(&self, walk: Walk) -> Walked {
+        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, walked)) = kept.iter().find(|(of, _)| *of == walk) {
+            return walked.clone();
+        }
+        if kept.len() == KEPT {
+            kept.remove(0);
+        }
+        let walked = Walked::default();
+        kept.push((walk, walked.clone()));
+        walked
+    }
+}
 
 impl Measured<'_> {
     /// What a springpot remembers where the warming up of a step begins, the motion before it run through once.

@@ -32,6 +32,7 @@ pub use until::Until;
 use driven::{OfWindows, zero_of_table_m_s2};
 use jumps::beside_jumps;
 pub(super) use jumps::{are_too_many, beside_jumps_of_few_samples};
+use memory::Walks;
 use slow::Slow;
 use specimens::Specimens;
 
@@ -106,6 +107,8 @@ pub struct Measured<'a> {
     driven: Arc<RwLock<Arc<OfWindows>>>,
     /// What a springpot remembers at the beginning of each window.
     remembered: Arc<OnceLock<Vec<Vec<f64>>>>,
+    /// What a hysteresis is left with there.
+    walks: Arc<Walks>,
 }
 
 /// What is estimated in one step beside the model's numbers: start displacement, start velocity (against the measured
@@ -202,6 +205,7 @@ impl<'a> Measured<'a> {
             slow: Arc::default(),
             driven: Arc::default(),
             remembered: Arc::default(),
+            walks: Arc::default(),
         })
     }
 

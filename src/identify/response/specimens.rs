@@ -2,6 +2,7 @@
 //! and for every slope.
 
 use super::jumps::Sampled;
+use super::memory::{Walk, Walked};
 use super::{Measured, STARTING, Simulated};
 use crate::identify::motion::Window;
 use crate::identify::together::Source;
@@ -21,9 +22,10 @@ pub(super) struct Specimens {
     creeps: bool,
     /// One of them keeps what larger motions left it with as long as those after are small.
     lasting: bool,
-    /// States of the effects of each record where its windows begin to be warmed up, in their order; none where nothing lasts, or where they are
-    /// not known yet.
-    walked: Vec<Vec<Vec<f64>>>,
+    /// What has states, where one lasts.
+    of_states: Vec<EffectSpec>,
+    /// What lasts of each record, where that has been asked for.
+    walked: Vec<Option<Walked>>,
     /// An effect forgets by a power law: slower than in the cycles before a step.
     pub(super) remembers: bool,
     /// The table moves otherwise than it is driven.
@@ -137,23 +139,32 @@ impl Measured<'_> {
         }
         let (motion, of) = (self.motion, window.source);
         let own: Vec<&Window> = motion.windows.iter().filter(|other| other.source == of).collect();
-        if specimens.walked[of].is_empty() {
+        let walked = match &specimens.walked[of] {
+            Some(walked) => walked.clone(),
+            None => {
+                let (effects, creeps) = (specimens.of_states.clone(), specimens.creeps);
+                self.walks.of(Walk { effects, source: of, zero_m, creeps })
+            }
+        };
+        specimens.walked[of] = Some(walked.clone());
+        let states = walked.get_or_init(|| {
             let begins: Vec<usize> = own.iter().map(|own| self.warmed_from(specimens, own)).collect();
             let specimen = &mut specimens.each[of];
             specimen.reset();
             let mut at = motion.sources[of].first;
             specimen.set_time_s(motion.sources[of].time_s(at, motion.dt_s()));
-            for begin in begins {
+            let hidden = |begin: usize| {
                 for n in at..begin.max(at) {
                     specimen.impose(motion.displacement_m[n] + zero_m, motion.velocity_m_s[n]);
                 }
                 at = begin.max(at);
-                specimens.walked[of].push(specimen.hidden());
-            }
-        }
+                specimen.hidden()
+            };
+            begins.into_iter().map(hidden).collect()
+        });
         let place = own.iter().position(|own| std::ptr::eq(*own, window))?;
         let begins = self.warmed_from(specimens, window);
-        let states = specimens.walked[of].get(place)?;
+        let states = states.get(place)?;
         (begins > motion.sources[of].first && !states.is_empty()).then(|| states.clone())
     }
 
@@ -167,9 +178,11 @@ impl Measured<'_> {
         let hidden = !spec.effects.iter().all(stateless);
         let share = self.motion.driven_by(spec);
         let lasting = has("bouc-wen-hysteresis") && !has("backlash") && !has("iwan-hysteresis");
+        let stateful = spec.effects.iter().filter(|effect| lasting && !stateless(effect));
         Some(Specimens {
             lasting,
-            walked: vec![Vec::new(); sources.len()],
+            of_states: stateful.cloned().collect(),
+            walked: vec![None; sources.len()],
             each: sources.iter().map(build).collect::<Option<_>>()?,
             hidden,
             creeps,
