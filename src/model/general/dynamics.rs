@@ -3,6 +3,7 @@
 use super::super::Regime;
 use super::super::elementary::sin_cos;
 use super::super::system::{Point, System};
+use super::events::root;
 
 /// Table acceleration within one stretch of time.
 pub trait Drive: Copy {
@@ -136,6 +137,9 @@ impl Mode {
         }
     }
 }
+
+/// Share of what holds an isolator behind an open joint that its terms may leave of it where it relaxes by its dashpot alone.
+const SLACK: f64 = 1e-9;
 
 /// Forces at one instant.
 #[derive(Clone, Copy, Debug, Default)]
@@ -289,7 +293,8 @@ impl System {
         self.finish::<N, PLAIN>(table, y, mode, layout, motion, rest + forces.element_n, dy, forces)
     }
 
-    /// Behind an open joint the isolator carries no force: it relaxes against its own dashpot.
+    /// Behind an open joint the isolator carries no force: it relaxes against its own dashpot, and against whatever of its terms depends
+    /// on its velocity. Without that a joint that opens under such a term would close again at once, and so on.
     fn relax_element<const N: usize>(
         &self,
         elastic: f64,
@@ -302,13 +307,25 @@ impl System {
         if self.damping_n_s_m == 0.0 {
             return;
         }
-        let (mut force, mut at) = (elastic, first);
-        for term in &self.isolator_terms {
-            let end = at + term.states();
-            force += term.force(point, &y[at..end], &mut dy[at..end]);
-            at = end;
-        }
-        point.velocity_m_s = -force / self.damping_n_s_m;
+        let mut moving = *point;
+        let mut force = |velocity_m_s: f64| {
+            moving.velocity_m_s = velocity_m_s;
+            let (mut force, mut at) = (elastic + self.damping_n_s_m * velocity_m_s, first);
+            for term in &self.isolator_terms {
+                let end = at + term.states();
+                force += term.force(&moving, &y[at..end], &mut dy[at..end]);
+                at = end;
+            }
+            force
+        };
+        let held = force(0.0);
+        let by_dashpot = -held / self.damping_n_s_m;
+        let left = if self.isolator_terms.is_empty() { 0.0 } else { held.signum() * force(by_dashpot) };
+        point.velocity_m_s = if left < -SLACK * held.abs() {
+            root((0.0, held.abs()), (by_dashpot, left), |velocity_m_s| held.signum() * force(velocity_m_s))
+        } else {
+            by_dashpot
+        };
     }
 
     #[allow(clippy::too_many_arguments)]
