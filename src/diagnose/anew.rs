@@ -68,6 +68,25 @@ impl Searcher<'_> {
         Some(from)
     }
 
+    /// The same stages by a response that is seen with less noise: what was tried is fitted on from where it stood.
+    pub(super) fn taken_over(&self, stages: &[Stage], base: &Trial) -> Vec<Stage> {
+        let Some(measured) = &self.measured else { return Vec::new() };
+        let taken = |stage: &Stage| {
+            let best = stage.finalists.first();
+            let again = |trial: &Trial| {
+                let hopeless = best.is_some_and(|best| verdict::apart(best, trial) > HOPELESS);
+                let settings =
+                    Settings { iterations: if hopeless { 0 } else { FURTHER_ON.iterations }, ..FURTHER_ON };
+                trial::respond(measured, trial, trial.response.as_ref().map(|of| &of.training), settings)
+            };
+            let again = parallel::map(&stage.finalists, parallel::cores(), again);
+            let mut finalists: Vec<Trial> = again.into_iter().flatten().collect();
+            best_first(&mut finalists, base);
+            Stage { finalists, ..stage.clone() }
+        };
+        stages.iter().map(taken).collect()
+    }
+
     /// A fitted model, fitted again where it tells slow noise or jumps otherwise than the one before.
     pub(super) fn heard_by_itself(&self, trial: Trial) -> Trial {
         match self.measured.as_ref().filter(|measured| tells_otherwise(measured, &trial)) {
@@ -167,6 +186,18 @@ impl Searcher<'_> {
             });
         tried.collect()
     }
+}
+
+/// First stages of a search that are what they are with less noise, too: each of them found so much that what it passed over for too little is
+/// nothing beside that.
+pub(super) fn clear(search: &Search) -> &[Stage] {
+    let best = |stage: usize| search.stages.get(stage)?.finalists.first();
+    let is_clear = |stage: &usize| {
+        let from = stage.checked_sub(1).and_then(best).unwrap_or(&search.base);
+        best(*stage).is_some_and(|best| verdict::apart(best, from) > HOPELESS)
+    };
+    let clear = (0..search.stages.len()).take_while(is_clear).count();
+    &search.stages[..clear]
 }
 
 /// A knee or gap just beyond the motion has no slope to follow, although the truth may lie within: such numbers are tried

@@ -1,10 +1,11 @@
 //! The whole diagnosis of one record: instruments, re-identification, search, verdict.
 
+use super::anew::clear;
 use super::answer::{self, Composer};
 use super::instruments::{self, Finding};
 use super::late_force::{self, Lagging};
 use super::report::Diagnosis;
-use super::search::{Effort, Searcher};
+use super::search::{Effort, Otherwise, Searcher, Stage};
 use super::thresholds::Thresholds;
 use super::trial::Trial;
 use super::verdict::{self, Verdict};
@@ -93,7 +94,8 @@ pub fn diagnose_together(
     let tests: Vec<(&Record, &ModelSpec)> =
         records.iter().zip(&models).map(|(record, model)| (&**record, &**model)).collect();
     let late_s = vec![0.0; tests.len()];
-    let again = Again { said: &said, late_s: &late_s, late: None, on_time: ON_TIME, noise: QUIETER };
+    let again =
+        Again { said: &said, late_s: &late_s, late: None, on_time: ON_TIME, noise: QUIETER, found: &[] };
     let mut out = of_records(&tests, options, again)?;
     out.wall_s = begun.elapsed().as_secs_f64();
     Ok(out)
@@ -156,6 +158,8 @@ struct Again<'a> {
     on_time: usize,
     /// So many times more the noise may be told anew.
     noise: usize,
+    /// What the search before found on the same motion, seen with more noise.
+    found: &'a [Stage],
 }
 
 impl Again<'_> {
@@ -173,7 +177,7 @@ impl Again<'_> {
         of_records(
             &prompt,
             options,
-            Again { late_s: &late_s, on_time: self.on_time - 1, noise: QUIETER, ..self },
+            Again { late_s: &late_s, on_time: self.on_time - 1, noise: QUIETER, found: &[], ..self },
         )
     }
 }
@@ -208,10 +212,18 @@ fn of_motion(
         let by_explanation = Again { on_time: BY_EXPLANATION + 1, late: None, ..again };
         return by_explanation.put_on_time(tests, options, again.late_s);
     }
-    let less = Again { noise: again.noise.saturating_sub(1), ..again };
-    let hum = |trial: &Trial| (again.noise > 0).then(|| searcher.without_hum(trial)).flatten();
-    if let Some((without, said)) = hum(&base) {
-        return of_motion((tests, nominal), options, without, (findings, [notes, said].concat()), less);
+    let hum = |trial: &Trial| {
+        let (motion, said) = (again.noise > 0).then(|| searcher.without_hum(trial)).flatten()?;
+        Some(Otherwise { motion, said, quieter: false })
+    };
+    let anew = |otherwise: Otherwise, found: &[Stage], findings, notes: Vec<String>| {
+        let Otherwise { motion, said, quieter } = otherwise;
+        let noise = again.noise.saturating_sub(1);
+        let again = Again { noise, found: if quieter { found } else { &[] }, ..again };
+        of_motion((tests, nominal), options, motion, (findings, [notes, said].concat()), again)
+    };
+    if let Some(without) = hum(&base) {
+        return anew(without, &[], findings, notes);
     }
     // A component's force is put on time once.
     let first =
@@ -221,7 +233,7 @@ fn of_motion(
         .and_then(|first| late_force::of_component(&searcher, nominal, (&base, first), options.thresholds));
     let put_on_time = |lagging: &Lagging| {
         let notes = [notes.clone(), vec![late::said_of_component(lagging.late_s)]].concat();
-        let again = Again { on_time: 0, noise: QUIETER, ..again };
+        let again = Again { on_time: 0, noise: QUIETER, found: &[], ..again };
         let motion = answered(&motion, lagging.late_s);
         of_motion((tests, nominal), options, motion, (findings.clone(), notes), again)
     };
@@ -231,20 +243,25 @@ fn of_motion(
             return Ok(prompt);
         }
     }
-    let quieter = |trial: &Trial| (again.noise > 0).then(|| searcher.quieter(trial)).flatten();
+    let quieter = |trial: &Trial| {
+        let motion = (again.noise > 0).then(|| searcher.quieter(trial)).flatten()?;
+        Some(Otherwise { motion, said: Vec::new(), quieter: true })
+    };
     let steadier = |trial: &Trial| {
-        let (steadier, drift) = (again.noise > 0).then(|| searcher.steadier(trial)).flatten()?;
+        let (motion, drift) = (again.noise > 0).then(|| searcher.steadier(trial)).flatten()?;
         let said =
             format!("the force drifts by {:.2} % of its rms over the record: taken out", 100.0 * drift);
-        Some((steadier, vec![said]))
+        Some(Otherwise { motion, said: vec![said], quieter: false })
     };
-    let otherwise = |trial: &Trial| {
-        steadier(trial).or_else(|| hum(trial)).or_else(|| Some((quieter(trial)?, Vec::new())))
+    let otherwise = |trial: &Trial| steadier(trial).or_else(|| hum(trial)).or_else(|| quieter(trial));
+    let tried = match first {
+        Some(first) => vec![first],
+        None => searcher.taken_over(again.found, &base),
     };
-    let mut search = searcher.search_from((base, first), options.thresholds, otherwise);
-    if let Some((motion, said)) = search.otherwise.take() {
+    let mut search = searcher.search_from((base, tried), options.thresholds, otherwise);
+    if let Some(otherwise) = search.otherwise.take() {
         parts::done("noise told anew");
-        return of_motion((tests, nominal), options, motion, (findings, [notes, said].concat()), less);
+        return anew(otherwise, clear(&search), findings, notes);
     }
     let decision = verdict::decide(&search, &searcher, options.thresholds);
     let decision = searcher.reconsidered(decision, &search.base, options.thresholds);
@@ -260,11 +277,11 @@ fn of_motion(
     // With less noise what stays unexplained only stands out more.
     let less_noise = || {
         let holds = decision.verdict != Verdict::OutsideCatalogue;
-        holds.then(|| quieter(&decision.chosen)).flatten().map(|quieter| (quieter, Vec::new()))
+        holds.then(|| quieter(&decision.chosen)).flatten()
     };
     let at_last = steadier(search.best()).or_else(|| hum(&decision.chosen)).or_else(less_noise);
-    if let Some((motion, said)) = at_last {
-        return of_motion((tests, nominal), options, motion, (findings, [notes, said].concat()), less);
+    if let Some(otherwise) = at_last {
+        return anew(otherwise, clear(&search), findings, notes);
     }
     // Of an explanation that does not hold no numbers are told.
     if decision.verdict != Verdict::OutsideCatalogue {

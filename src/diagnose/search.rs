@@ -80,8 +80,15 @@ pub struct Search {
     pub(super) otherwise: Option<Otherwise>,
 }
 
-/// A motion that is to be searched in another's place, and what is to be said of that.
-pub(super) type Otherwise = (Motion, Vec<String>);
+/// A motion that is to be searched in another's place.
+#[derive(Clone, Debug)]
+pub(super) struct Otherwise {
+    pub(super) motion: Motion,
+    /// What is to be said of that.
+    pub(super) said: Vec<String>,
+    /// It is the same, seen with less noise.
+    pub(super) quieter: bool,
+}
 
 /// Everything a search needs to know.
 pub struct Searcher<'a> {
@@ -283,14 +290,14 @@ impl<'a> Searcher<'a> {
 
     /// Adds effects one at a time for as long as a good part of the excess is left and falls.
     pub fn search(&self, base: Trial, thresholds: Thresholds) -> Search {
-        self.search_from((base, None), thresholds, |_| None)
+        self.search_from((base, Vec::new()), thresholds, |_| None)
     }
 
-    /// The same where the first stage may have been tried, and ended where what explains most after it says that the motion should be
+    /// The same where first stages may have been tried, and ended where what explains most after one says that the motion should be
     /// taken otherwise: the rest of the search would be done again.
     pub(super) fn search_from(
         &self,
-        (base, mut first): (Trial, Option<Stage>),
+        (base, tried): (Trial, Vec<Stage>),
         thresholds: Thresholds,
         otherwise: impl Fn(&Trial) -> Option<Otherwise>,
     ) -> Search {
@@ -298,6 +305,7 @@ impl<'a> Searcher<'a> {
         let component = self.motion.kind == Kind::Component;
         let enough = if component { 0.0 } else { 0.5 * thresholds.left };
         let mut search = Search { base, stages: Vec::new(), law: None, otherwise: None };
+        let mut tried = tried.into_iter();
         // Stages that brought something.
         let mut told = 0;
         // Beyond a pair the response explains anything.
@@ -318,7 +326,7 @@ impl<'a> Searcher<'a> {
             if depth > 0 && verdict::leaves_noise(self, &from, thresholds) {
                 break;
             }
-            let mut stage = first.take().unwrap_or_else(|| self.stage(&from));
+            let mut stage = tried.next().unwrap_or_else(|| self.stage(&from));
             // Of a second stage only where it brings anything: what it goes on from may have stopped short.
             let asked = depth == 0 || stage.finalists.iter().any(|t| verdict::brings(t, &from, thresholds));
             if let Some(better) = if asked { self.better_placed(&stage, &from) } else { None } {
@@ -339,6 +347,7 @@ impl<'a> Searcher<'a> {
                 let best = stage.finalists.first().filter(|best| verdict::brings(best, &from, thresholds));
                 search.otherwise = otherwise(best.unwrap_or(&from));
                 if search.otherwise.is_some() {
+                    search.stages.push(stage);
                     break;
                 }
             }
