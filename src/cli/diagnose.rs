@@ -1,7 +1,6 @@
 //! `shaketable diagnose`: what is missing from the model, and the next test.
 
-use super::effect::{refuse_existing, write_model};
-use super::fitted::failed;
+use super::fitted::{failed, refuse_existing, write_model};
 use super::reading::ReadingArgs;
 use super::{CliError, Outcome, parts};
 use crate::diagnose::live::evidence;

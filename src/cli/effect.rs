@@ -1,16 +1,17 @@
 //! `effect`: the catalogue, and effects into and out of model files.
 
-use super::fitted::{print_errors, print_numbers, refuse_unfit};
+use super::fitted::{
+    print_errors, print_numbers, refuse_existing, refuse_invalid, refuse_unfit, write_model,
+};
 use super::reading::{ReadingArgs, read_model, say_new};
 use super::{CliError, Outcome};
-use crate::config::Check;
 use crate::diagnose::adding::{self, Added};
 use crate::model::effects::{self, CATALOGUE, Effect};
 use crate::model::{EffectSpec, ModelSpec, Scales, build};
 use crate::record::mended::mended;
 use crate::units::SAMPLE_RATE_HZ;
 use std::f64::consts::TAU;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// List, show, add or remove effects of a model.
 #[derive(clap::Args)]
@@ -148,26 +149,6 @@ fn parse_parameter(text: &str) -> Result<(String, f64), String> {
     let (name, value) = text.split_once('=').ok_or_else(|| format!("`{text}`; wanted: name=value"))?;
     let value = value.trim().parse().map_err(|_| format!("`{value}` is not a number"))?;
     Ok((name.trim().to_owned(), value))
-}
-
-fn refuse_invalid(model: &ModelSpec) -> Result<(), CliError> {
-    model.check().map_err(|(key, reason)| CliError::usage(format!("{key}: {reason}")))
-}
-
-pub(super) fn refuse_existing(output: &Path, force: bool) -> Result<(), CliError> {
-    if output.exists() && !force {
-        return Err(CliError::usage(format!("{} exists; `--force` replaces it", output.display())));
-    }
-    Ok(())
-}
-
-pub(super) fn write_model(model: &ModelSpec, output: &Path) -> Result<(), CliError> {
-    refuse_invalid(model)?;
-    let text = toml::to_string(model).map_err(CliError::failed)?;
-    std::fs::write(output, text)
-        .map_err(|error| CliError::failed(format!("cannot write {}: {error}", output.display())))?;
-    eprintln!("wrote {}", output.display());
-    Ok(())
 }
 
 /// What a fit found; nothing to say without one unless JSON is wanted.

@@ -1,10 +1,12 @@
-//! What `identify`, `effect add` and `diagnose` fit, and how the first two print what they found.
+//! What `identify`, `effect` and `diagnose` fit, how the first two print what they found, and the model files that all three write.
 
 use super::CliError;
+use crate::config::Check;
 use crate::diagnose::{DiagnoseError, fitness};
 use crate::identify::refit::FittedNumber;
 use crate::model::ModelSpec;
 use crate::record::Record;
+use std::path::Path;
 
 /// Refuses to fit a model to a record, its faults mended, that is not fit for it, unless it is to be used anyway.
 ///
@@ -22,6 +24,38 @@ pub fn failed(error: DiagnoseError) -> CliError {
         )),
         error => CliError::failed(error),
     }
+}
+
+/// Refuses to replace a file, unless that is wanted.
+///
+/// # Errors
+/// [`CliError::Usage`] that names it.
+pub fn refuse_existing(output: &Path, force: bool) -> Result<(), CliError> {
+    if output.exists() && !force {
+        return Err(CliError::usage(format!("{} exists; `--force` replaces it", output.display())));
+    }
+    Ok(())
+}
+
+/// Refuses a model that there cannot be.
+///
+/// # Errors
+/// [`CliError::Usage`] with the number that is wrong.
+pub fn refuse_invalid(model: &ModelSpec) -> Result<(), CliError> {
+    model.check().map_err(|(key, reason)| CliError::usage(format!("{key}: {reason}")))
+}
+
+/// Writes a model file, and says so.
+///
+/// # Errors
+/// As of [`refuse_invalid`]; a file that cannot be written.
+pub fn write_model(model: &ModelSpec, output: &Path) -> Result<(), CliError> {
+    refuse_invalid(model)?;
+    let text = toml::to_string(model).map_err(CliError::failed)?;
+    std::fs::write(output, text)
+        .map_err(|error| CliError::failed(format!("cannot write {}: {error}", output.display())))?;
+    eprintln!("wrote {}", output.display());
+    Ok(())
 }
 
 /// One line for each number.

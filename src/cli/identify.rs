@@ -1,6 +1,6 @@
 //! `shaketable identify`: re-fit a model's own numbers to a record.
 
-use super::fitted::{print_errors, print_numbers, refuse_unfit};
+use super::fitted::{print_errors, print_numbers, refuse_existing, refuse_unfit, write_model};
 use super::reading::{ReadArgs, say_new};
 use super::{CliError, Outcome};
 use crate::diagnose::out_there::out_there;
@@ -24,6 +24,9 @@ pub struct Args {
     /// Where to write the re-fitted model.
     #[arg(short, long)]
     output: Option<PathBuf>,
+    /// Replace the output if it exists.
+    #[arg(long, requires = "output")]
+    force: bool,
     /// Fit to a record that is too short, saturated, of wrong sign or unit, ... all the same.
     #[arg(long)]
     anyway: bool,
@@ -35,9 +38,12 @@ pub struct Args {
 /// Re-fits.
 ///
 /// # Errors
-/// A record or model that cannot be read, or does not go together; an output that cannot be
+/// A record or model that cannot be read, or does not go together; an output that exists or cannot be
 /// written.
 pub fn execute(args: Args) -> Result<Outcome, CliError> {
+    if let Some(output) = &args.output {
+        refuse_existing(output, args.force)?;
+    }
     let nominal = super::reading::read_model(&args.model)?;
     let opened = args.read.open()?;
     let record = mended(&opened);
@@ -59,8 +65,7 @@ pub fn execute(args: Args) -> Result<Outcome, CliError> {
     let floor = after.map(|e| e.noise_floor(&motion));
     let numbers = trial.refit.fitted(&nominal);
     if let Some(path) = &args.output {
-        let text = toml::to_string(&trial.refit.spec).map_err(CliError::failed)?;
-        std::fs::write(path, text).map_err(|e| CliError::failed(format!("{}: {e}", path.display())))?;
+        write_model(&trial.refit.spec, path)?;
     }
     let after = after.map(|e| e.nrmse());
     if args.json {
