@@ -7,6 +7,8 @@ import { mm } from "./ui";
 
 const NS = "http://www.w3.org/2000/svg";
 const SCALE = 2400;
+/** Room on either side for the table's way, 62 mm. */
+const WAY = 80;
 
 function make(tag: string, attributes: Record<string, string | number>, parent: Element): SVGElement {
   const element = document.createElementNS(NS, tag);
@@ -28,8 +30,8 @@ export class Rig {
   constructor() {
     const svg = document.createElementNS(NS, "svg");
     this.element = svg;
-    for (const [k, v] of Object.entries({ viewBox: "0 0 480 178", class: "rig", role: "img", "aria-label": "The rig as it moves" })) svg.setAttribute(k, v);
-    make("line", { x1: 0, y1: 168, x2: 480, y2: 168, class: "floor" }, svg);
+    for (const [k, v] of Object.entries({ viewBox: `${-WAY} 0 ${480 + 2 * WAY} 178`, class: "rig", role: "img", "aria-label": "The rig as it moves" })) svg.setAttribute(k, v);
+    make("line", { x1: -WAY, y1: 168, x2: 480 + WAY, y2: 168, class: "floor" }, svg);
     this.table = make("g", {}, svg);
     make("rect", { x: 70, y: 140, width: 340, height: 20, rx: 2, class: "table" }, this.table);
     for (const x of [100, 370]) make("circle", { cx: x, cy: 164, r: 4, class: "table" }, this.table);
