@@ -1,76 +1,40 @@
 //! Imposed motion at sample resolution. Identification imposes the measured motion on models some
 //! thousand times over: contacts, knees and the sign of friction are read off the sample itself, the
 //! instant of a release is interpolated, and terms with states of their own carry them by [`super::super::system::Term::follow`].
-//! A joint that stays closed moves with the mass; where it opens or closes, and while it is open, its own motion decides on contact, and it
-//! keeps to the event search. So does a stand under a nonlinear bumper.
+//! A joint, whose
+//! own motion decides on contact, keeps to the event search, and so does a stand under a nonlinear bumper.
 
 use super::super::Response;
 use super::super::contact::ContactLaw;
 use super::super::cubic::Cubic;
 use super::super::system::Stand;
-use super::dynamics::{Drive, Joint, Line, Sliding, Tip};
+use super::dynamics::{Joint, Line, Sliding, Tip};
 use super::events::root;
 use super::specimen::General;
 
 impl<const N: usize> General<N> {
     /// True where [`General::impose_sampled`] applies.
-    pub(super) fn imposes_by_sample(&self, course: &Cubic, line: Line) -> bool {
-        if self.system.stand.is_some() && !self.system.bumper.is_linear() {
-            return false;
-        }
-        match self.mode.joint {
-            Joint::Rigid => true,
-            Joint::Closed(sign) => self.stays_closed(sign, course, line),
-            Joint::Open => false,
-        }
-    }
-
-    /// Whether the isolator still pushes at the end of a sample where it did at the beginning.
-    fn stays_closed(&self, sign: i8, course: &Cubic, line: Line) -> bool {
-        let (mut y, mut mode) = (self.y, self.mode);
-        let behind = self.behind_joint(course);
-        self.follow_terms(course, &behind, &mut y);
-        (y[0], y[1], y[self.layout.element]) = (course.to.0, course.to.1, behind.to.0);
-        mode.segment = self.system.segment(behind.to.0);
-        let at = (self.time_s + course.during_s, 0.0);
-        let moves = Some(line.at(course.during_s));
-        f64::from(sign) * self.system.rates(at, &y, &mode, &self.layout, moves).1.element_n > 0.0
-    }
-
-    /// How the isolator moves while the mass does, behind a joint that stays closed or without one.
-    fn behind_joint(&self, course: &Cubic) -> Cubic {
-        let Joint::Closed(sign) = self.mode.joint else { return *course };
-        let play = f64::from(sign) * self.system.joint_half_width_m.unwrap_or(0.0);
-        Cubic {
-            from: (course.from.0 - play, course.from.1),
-            to: (course.to.0 - play, course.to.1),
-            ..*course
-        }
+    pub(super) fn imposes_by_sample(&self) -> bool {
+        self.mode.joint == Joint::Rigid && (self.system.stand.is_none() || self.system.bumper.is_linear())
     }
 
     /// Moves the mass within one sample interval, along a course whose acceleration is `line`.
     pub(super) fn impose_sampled(&mut self, course: &Cubic, line: Line) -> Response {
         let ((d, v), dt) = (course.to, course.during_s);
         let before = self.contact_forces();
-        let behind = self.behind_joint(course);
         if self.turns {
-            self.commit_vertex(course, &behind);
+            self.commit_vertex(course);
         }
         if let Some(stand) = self.system.stand {
             self.follow_stand(&stand, course);
         }
         if self.integrates {
-            let mut y = self.y;
-            self.follow_terms(course, &behind, &mut y);
-            self.y = y;
+            self.follow_terms(course);
         }
         (self.y[0], self.y[1]) = (d, v);
-        if self.mode.joint != Joint::Rigid {
-            self.y[self.layout.element] = behind.to.0;
-        }
         self.time_s += dt;
         self.table = None;
-        self.mode.segment = self.system.segment(behind.to.0);
+        self.mode.segment = self.system.segment(d);
         if self.system.friction.is_some() {
             let sign = match self.mode.sliding {
                 _ if v != 0.0 => v.signum() as i8,
@@ -90,7 +54,8 @@ impl<const N: usize> General<N> {
             self.age_tips();
         }
         let at = (self.time_s, 0.0);
-        let forces = self.system.rates(at, &self.y, &self.mode, &self.layout, Some(line.at(dt))).1;
+        let forces =
+            self.system.rates(at, &self.y, &self.mode, &self.layout, Some(line.start + line.slope * dt)).1;
         self.response(&forces)
     }
 
@@ -136,9 +101,9 @@ impl<const N: usize> General<N> {
     }
 
     /// Tells terms that remember reversals where the motion turned within the coming sample.
-    fn commit_vertex(&mut self, course: &Cubic, behind: &Cubic) {
-        let Some((vertex, behind)) = course.turns_at_m().zip(behind.turns_at_m()) else { return };
-        self.system.isolator_terms.iter_mut().for_each(|term| term.commit(behind));
+    fn commit_vertex(&mut self, course: &Cubic) {
+        let Some(vertex) = course.turns_at_m() else { return };
+        self.system.isolator_terms.iter_mut().for_each(|term| term.commit(vertex));
         self.system.mass_terms.iter_mut().for_each(|term| term.commit(vertex));
     }
 
@@ -191,15 +156,14 @@ impl<const N: usize> General<N> {
         }
     }
 
-    /// Carries the states of the terms along, those of the mass and those behind the joint.
-    fn follow_terms(&self, course: &Cubic, behind: &Cubic, y: &mut [f64; N]) {
+    /// Carries the states of the terms along.
+    fn follow_terms(&mut self, course: &Cubic) {
         let mut at = self.layout.terms;
-        let of_mass = self.system.mass_terms.iter().map(|term| (term, course));
         // In the order in which the rates go through them.
-        for (term, course) in of_mass.chain(self.system.isolator_terms.iter().map(|term| (term, behind))) {
+        for term in self.system.mass_terms.iter().chain(&self.system.isolator_terms) {
             let end = at + term.states();
             if end > at {
-                term.follow(course, &mut y[at..end]);
+                term.follow(course, &mut self.y[at..end]);
             }
             at = end;
         }

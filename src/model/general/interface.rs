@@ -78,7 +78,7 @@ impl<const N: usize> Specimen for General<N> {
         let course = Cubic { from, to, during_s: dt };
         let (start, slope) = course.acceleration();
         let line = Line { start, slope };
-        if self.imposes_by_sample(&course, line) {
+        if self.imposes_by_sample() {
             return self.impose_sampled(&course, line);
         }
         if self.system.friction.is_some() && self.mode.sliding == Sliding::Stick {

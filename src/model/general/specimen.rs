@@ -140,13 +140,7 @@ impl<const N: usize> General<N> {
             let at = (self.time_s + t + h, drive.at(t + h));
             let guards = self.system.guards(at, &step.end, &self.mode, &self.layout, &forces);
             let nearly = self.may_dip(h, &now, &guards, &step);
-            let dips = || {
-                nearly.contains(&true)
-                    && self.dips(&now, &guards, &nearly, &|part| {
-                        self.guards_at(t + part * h, &step.at(part), drive, motion)
-                    })
-            };
-            let failed = guards.iter().any(|g| *g < 0.0) || dips();
+            let failed = guards.iter().any(|g| *g < 0.0) || nearly.contains(&true);
             let failure = if failed && events < PATIENCE {
                 first_failure(&now.guards, &guards, &nearly, |part| {
                     self.guards_at(t + part * h, &step.at(part), drive, motion)
@@ -232,11 +226,6 @@ impl<const N: usize> General<N> {
                     g0.min(g1) < h * now.rates[1].abs().max(step.rates[1].abs())
                         && now.rates[1] * step.rates[1] <= 0.0
                 }
-                // Neither stop of an open joint comes nearer and goes again while the mass moves one way along the isolator.
-                guard::JOINT_UP | guard::JOINT_DOWN if self.mode.joint == Joint::Open => {
-                    let along = |rates: &[f64; N]| rates[0] - rates[self.layout.element];
-                    along(&now.rates) * along(&step.rates) <= 0.0 && g0.min(g1) < 2.0 * way
-                }
                 guard::REVERSAL => {
                     now.rates[1] * step.rates[1] <= 0.0
                         && g0.min(g1) < h * now.rates[1].abs().max(step.rates[1].abs())
@@ -245,21 +234,6 @@ impl<const N: usize> General<N> {
             };
         }
         nearly
-    }
-
-    /// Whether one of those is worth looking for: of the push of a closed joint the middle of the step tells.
-    fn dips(&self, now: &Now<N>, end: &Guards, nearly: &[bool; GUARDS], at: &dyn Fn(f64) -> Guards) -> bool {
-        let pushes = |i: usize| i == guard::JOINT_UP && matches!(self.mode.joint, Joint::Closed(_));
-        if (0..GUARDS).any(|i| nearly[i] && !pushes(i)) {
-            return true;
-        }
-        let [start, middle, end] = [&now.guards, &at(0.5), end].map(|guards| guards[guard::JOINT_UP]);
-        // The parabola through the three of them, by its least value on the way.
-        let (rise, bend) = (end - start, 2.0 * (start + end - 2.0 * middle));
-        let vertex = if bend > 0.0 { 0.5 - 0.5 * rise / bend } else { 0.0 };
-        let least =
-            if (0.0..1.0).contains(&vertex) { start - bend * vertex * vertex } else { start.min(end) };
-        least < 0.5 * start.min(end)
     }
 
     /// Tells terms with memory, and the error control, where the motion has come to.

@@ -223,38 +223,6 @@ fn steps_over_many_samples_are_the_steps_from_sample_to_sample() {
 }
 
 #[test]
-fn a_joint_that_stays_closed_within_a_sample_pushes_as_in_finer_steps() {
-    let mut spec = oscillator(1.0, 1e3, 4.0);
-    spec.isolator.stiffness_n_m.push(2e3);
-    spec.isolator.breakpoints_m.push(6e-3);
-    spec.effects.push(effect("bouc-wen-hysteresis", &[("kh_n_m", 1e3), ("dy_m", 2e-3)]));
-    spec.effects.push(effect(
-        "iwan-hysteresis",
-        &[("kp_n_m", 5e2), ("exponent", -0.5), ("yield_min_m", 0.0), ("yield_max_m", 4e-3)],
-    ));
-    spec.effects.push(effect("backlash", &[("b_m", 1e-3)]));
-    let forces = |finer: usize| {
-        let mut specimen = build(&spec, DT / finer as f64).expect("builds");
-        let (w, rate) = (TAU / (40.0 * DT), finer as f64 / DT);
-        let at = |i: usize| {
-            let (sin, cos) = (w * i as f64 / rate).sin_cos();
-            let grows = 1.0 + 0.2 * i as f64 / rate;
-            (0.01 * grows * sin, 0.01 * (grows * w * cos + 0.2 * sin))
-        };
-        let each = (1..=800 * finer).map(|i| {
-            let (d, v) = at(i);
-            specimen.impose(d, v).mass_acceleration_m_s2
-        });
-        each.skip(finer - 1).step_by(finer).collect::<Vec<f64>>()
-    };
-    let (sampled, finer) = (forces(1), forces(32));
-    let most = finer.iter().fold(0.0_f64, |most, f| most.max(f.abs()));
-    let apart: Vec<f64> = sampled.iter().zip(&finer).map(|(a, b)| (a - b).abs() / most).collect();
-    let rms = (apart.iter().map(|x| x * x).sum::<f64>() / apart.len() as f64).sqrt();
-    assert!(rms < 2e-4, "{rms} of the most");
-}
-
-#[test]
 fn behind_an_open_joint_all_that_damps_the_isolator_holds_it_back() {
     let (k, c, c2, play_m) = (1e3, 20.0, 2e3, 2e-3);
     let mut spec = oscillator(1.0, k, c);
