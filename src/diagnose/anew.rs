@@ -77,7 +77,7 @@ impl Searcher<'_> {
                 let hopeless = best.is_some_and(|best| verdict::apart(best, trial) > HOPELESS);
                 let settings =
                     Settings { iterations: if hopeless { 0 } else { FURTHER_ON.iterations }, ..FURTHER_ON };
-                trial::respond(measured, trial, trial.response.as_ref().map(|of| &of.training), settings)
+                fitted_on(measured, trial, settings)
             };
             let again = parallel::map(&stage.finalists, parallel::cores(), again);
             let mut finalists: Vec<Trial> = again.into_iter().flatten().collect();
@@ -224,8 +224,13 @@ pub(super) fn reached(problem: &Problem<'_>, nominal: &ModelSpec, fit: Refit) ->
 /// A fitted model fitted on for so many rounds with what has been told since.
 fn from_where_it_stands(measured: &Measured<'_>, trial: &Trial, iterations: usize) -> Trial {
     let settings = Settings { iterations, ..Settings::default() };
+    fitted_on(measured, trial, settings).unwrap_or_else(|| trial.clone())
+}
+
+/// The same; `None` where it cannot be simulated.
+fn fitted_on(measured: &Measured<'_>, trial: &Trial, settings: Settings) -> Option<Trial> {
     let laid = trial.response.as_ref().map(|response| &response.training);
-    trial::respond(measured, trial, laid, settings).unwrap_or_else(|| trial.clone())
+    trial::respond(measured, trial, laid, settings)
 }
 
 /// Has a fitted model tell slow noise of the displacement sensor and jumps; whether either is another than before.
